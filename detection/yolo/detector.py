@@ -260,6 +260,8 @@ class YoloDetector:
                 "show road users, the input or the outputs of the model are interpreted wrongly: "
                 "see `track-range models info --image`."
             )
+        if self._settings.size_px is not None and None not in self._session.input_shape[2:]:
+            notes.append(f"--size is not used: the input of {name} has a fixed size.")
         if self.n_invalid:
             boxes = "1 box" if self.n_invalid == 1 else f"{self.n_invalid} boxes"
             notes.append(

@@ -75,10 +75,9 @@ class FarPass:
     def notes(self) -> tuple[str, ...]:
         """What the passes so far were, and their cost; or why there are none."""
         network = self._network
-        if self._every and not network.takes_parts:
-            return (
-                f"--far-pass is not used: {network.session.path.name} has no colour input of variable size.",
-            )
+        if self._every != 0 and not network.takes_parts:
+            name, option = network.session.path.name, "--far-pass" if self._every else "--size auto"
+            return (f"{option} is not used: {name} has no colour input of variable size.",)
         if not self.n_passes:
             return ()
         height, width = self._input_hw

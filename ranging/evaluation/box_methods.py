@@ -16,7 +16,7 @@ from track_range.ranging.methods.method import MethodContext, Ranger, RangingMet
 from track_range.ranging.registry import create_rangers, methods
 from track_range.ranging.size_models.curve import CurveError, load_curves
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
-from track_range.ranging.size_models.plain_curves import PLAIN_CURVES
+from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, within_range
 from track_range.ranging.size_models.region import Region
 from track_range.ranging.size_models.regions import in_region
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
@@ -76,7 +76,9 @@ def measured_by(
     scheme = options.scheme or cross_validation.cross_validated
     reference = train.with_reference()
     columns = {
-        name: scheme(boxes, reference, cross_validation.plain_fitter(PLAIN_CURVES[name]))
+        name: scheme(
+            boxes, reference, cross_validation.plain_fitter(within_range(PLAIN_CURVES[name]))
+        )
         for name in names
         if name in PLAIN_CURVES
     }

@@ -133,6 +133,25 @@ _OF_ONE_MEASURE: Mapping[str, _RawFitter] = {
 # raw curves
 PLAIN_CURVES: Mapping[str, CurveFitter] = {**_OF_ONE_MEASURE, "log-linear": _fit_log_linear}
 
+
+def within_range(fit_curve: CurveFitter) -> CurveFitter:
+    """Fitter of the same curve without distances (NaN) that are less than half of the smallest or
+    more than twice the largest fitted one: a polynomial of cars at 40 m has billions of metres for
+    boxes of cars at 10 m.
+    """
+
+    def fit(wh_over_f: FloatArray, bearing: FloatArray, distance_m: FloatArray) -> Curve:
+        curve = fit_curve(wh_over_f, bearing, distance_m)
+        return lambda wh_over_f, bearing: _within_range(curve(wh_over_f, bearing), distance_m)
+
+    return fit
+
+
+def _within_range(curve_m: FloatArray, fitted_m: FloatArray) -> FloatArray:
+    is_within = (fitted_m.min() / 2 <= curve_m) & (curve_m <= 2 * fitted_m.max())
+    return np.where(is_within, curve_m, np.nan)
+
+
 SAFE_CURVES: Mapping[str, Callable[[FloatArray, FloatArray, FloatArray], FittedTable]] = {
     name: fitter.safe for name, fitter in _OF_ONE_MEASURE.items()
 }

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
+from numbers import Real
 from typing import ClassVar
 
 import numpy as np
@@ -45,8 +46,8 @@ _LIMITS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mounting:
-    """Angles and place of a camera in its vehicle, in keys of rig.yaml; ValueError for a number
-    outside of its range.
+    """Angles and place of a camera in its vehicle, in keys of rig.yaml; ValueError for a value
+    that is no number in its range.
 
     Example:
         >>> import track_range as tr
@@ -72,7 +73,9 @@ class Mounting:
     def __post_init__(self) -> None:
         for name, (low, high) in _LIMITS.items():
             value = getattr(self, name)
-            if value is not None and not low <= value <= high:
+            is_unknown = value is None and name == "z_m"
+            is_number = isinstance(value, Real) and not isinstance(value, bool)
+            if not is_unknown and not (is_number and low <= value <= high):
                 raise ValueError(f"expected {_key(name)} from {low:g} to {high:g}, found {value!r}")
 
     @classmethod
@@ -98,7 +101,9 @@ class Mounting:
     def parts(self) -> tuple[str, ...]:
         """The texts from which `of` makes this mounting."""
         values = {_key(field.name): getattr(self, field.name) for field in fields(self)}
-        return tuple(f"{key}={value!r}" for key, value in values.items() if value is not None)
+        return tuple(
+            f"{key}={float(value)!r}" for key, value in values.items() if value is not None
+        )
 
     @property
     def vehicle_from_camera(self) -> FloatArray:

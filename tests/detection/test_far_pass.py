@@ -119,9 +119,15 @@ def test_passes_go_on_after_frames_that_were_read_before(network):
 def test_input_of_fixed_size_has_no_parts(tmp_path):
     rows = np.zeros((1, 3 * (8 * 8 + 4 * 4 + 2 * 2), 85))
     network = YoloDetector(write_model(tmp_path / "m.onnx", rows))
-    completed, far_pass = passes(network, 2)
-    assert all(completed)
-    assert "m.onnx has no colour input of variable size" in far_pass.notes[0]
+    for every, option in ((2, "--far-pass"), (None, "--size auto")):
+        completed, far_pass = passes(network, every)
+        assert all(completed)
+        expected = f"{option} is not used: m.onnx has no colour input of variable size."
+        assert far_pass.notes == (expected,)
+    assert passes(network, 0)[1].notes == ()
+    assert not [note for note in network.notes if "--size" in note]
+    sized = YoloDetector(tmp_path / "m.onnx", YoloSettings(size_px=960))
+    assert "--size is not used: the input of m.onnx has a fixed size." in sized.notes
 
 
 def test_width_and_height_of_the_input():

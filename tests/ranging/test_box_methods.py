@@ -39,6 +39,15 @@ def test_plain_curves_fit_cars_of_one_size(many_drives):
     assert np.isnan(result["height-5"].sigma_m).all()
 
 
+def test_plain_curves_have_no_distances_far_outside_of_the_fitted_ones(tmp_path, row, drives):
+    far = [row(frame, 0, "Car", 40.0 + frame) for frame in range(40)]
+    near = [row(frame, 0, "Car", 6.0 + frame / 8) for frame in range(40)]
+    boxes = box_set(*drives(tmp_path, {"far": far, "near": near}))
+    for column in measured_by(tuple(PLAIN_CURVES), boxes, boxes).values():
+        known_m = column.distance_m[np.isfinite(column.distance_m)]
+        assert ((known_m > 2.9) & (known_m < 160)).all()
+
+
 def test_class_without_training_boxes_is_not_measured(tmp_path, row, drives):
     one = [row(frame, 0, "Car", 10.0 + frame) for frame in range(40)]
     other = [row(frame, 0, "Pedestrian", 10.0 + frame) for frame in range(40)]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, SAFE_CURVES
+from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, SAFE_CURVES, within_range
 
 RNG = np.random.default_rng(3)
 DISTANCE_M = RNG.uniform(8, 80, 400)
@@ -48,6 +48,20 @@ def test_safe_polynomial_outside_the_fitted_sizes():
     safe = FITTED["diagonal-5"](near, np.zeros(2))
     assert (np.abs(raw) > 100).any()
     assert ((safe > 1.0) & (safe < 8.0)).all()
+
+
+@pytest.mark.parametrize("name", PLAIN_CURVES)
+def test_no_distance_far_outside_of_the_fitted_ones(name):
+    """Of cars at 10 to 60 m, a curve does not measure boxes as large as those at 0.5 to 4 m."""
+    fit = within_range(PLAIN_CURVES[name])
+    true_m = np.array([0.5, 1.0, 2.0, 3.0, 30.0])
+    sizes = np.array([1.7, 1.5]) / true_m[:, None]
+    distance_m = fit(SIZES, BEARING, DISTANCE_M)(sizes, np.zeros(5))
+    raw_m = PLAIN_CURVES[name](SIZES, BEARING, DISTANCE_M)(sizes, np.zeros(5))
+    is_far = (raw_m < DISTANCE_M.min() / 2) | (raw_m > 2 * DISTANCE_M.max())
+    assert is_far[:-1].any()
+    np.testing.assert_array_equal(distance_m, np.where(is_far, np.nan, raw_m))
+    assert distance_m[-1] == raw_m[-1]
 
 
 @pytest.mark.parametrize("name", FITTED)

@@ -102,6 +102,25 @@ def test_unusable_parts_are_named(parts, word):
         Mounting.of(parts)
 
 
+@pytest.mark.parametrize(
+    ("values", "found"),
+    [
+        ({"yaw_deg": None}, "yaw from -180 to 180, found None"),
+        ({"sigma_deg": None}, "sigma from 0 to 90, found None"),
+        ({"yaw_deg": True}, "yaw from -180 to 180, found True"),
+        ({"yaw_deg": "-58"}, "yaw from -180 to 180, found '-58'"),
+    ],
+)
+def test_values_that_are_no_numbers_are_named(values, found):
+    with pytest.raises(ValueError, match=found):
+        Mounting(**values)
+
+
+def test_parts_of_numpy_numbers():
+    mounting = Mounting(yaw_deg=np.float64(-58.0), pitch_deg=np.int64(2))
+    assert Mounting.of(mounting.parts) == mounting
+
+
 def mounting_of(path):
     return read_calibration(path, is_grey=False, is_pair=False).mounting
 

@@ -80,4 +80,4 @@ def test_values_of_python(small_drive):
         size=320,
     ).settings
     assert (settings.min_score, settings.ego_speed, settings.names) == ("0.25", "30", "car,bus")
-    assert (settings.rig, settings.size_px) == (small_drive.rig, 320)
+    assert (settings.rig, settings.size_px) == (small_drive.rig, "320")

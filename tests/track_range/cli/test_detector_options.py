@@ -8,11 +8,10 @@ from track_range.detection.catalogue.darknet.network import read_network
 from track_range.detection.classes import ROAD_CLASSES, ClassNameError
 from track_range.detection.models.onnx_session import ModelError
 from track_range.foundation.errors import ConfigError, UsageError
-from track_range.run.options.detection import DetectionOptions
+from track_range.run.options.detection import DetectionOptions, input_size
 from track_range.run.options.opened import (
     DetectorOptions,
     class_names,
-    input_size,
     open_detector,
     thresholds,
 )
@@ -109,6 +108,13 @@ def test_far_passes_by_the_size(options, size_px, every):
     settings = DetectionOptions(**options)
     assert DetectorOptions.of(settings).size_px == size_px
     assert settings.far_pass_every == every
+
+
+def test_sizes_that_are_none_and_the_word_for_the_usual_one(cli):
+    with pytest.raises(UsageError, match=r"such as 960x544, or \(in runs\) auto, got 'abc'"):
+        input_size("abc")
+    assert "auto|PX|WIDTHxHEIGHT" in "".join(cli("run", "--help")[1].split())
+    assert "auto|auto" not in "".join(cli("run", "--help")[1].split())
 
 
 @pytest.mark.parametrize("option", ["none.names", "a,,b", ""])

@@ -8,14 +8,17 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import model_validator
+from pydantic import field_validator, model_validator
 
 from track_range.detection.formats.titles import READ_TITLES
 from track_range.detection.models.devices import Device
 from track_range.foundation.errors import UsageError
+from track_range.foundation.files.input_files import quoted
+from track_range.foundation.files.numeric_text import number
 from track_range.foundation.schemas.options import Options, contradiction, option
 
 _shared_option = partial(option, is_shared=True)
+_SMALLEST_PX, _LARGEST_PX = 32, 4096  # of the sides of a network's input
 
 # Fields that several commands have.
 
@@ -101,6 +104,22 @@ ReidField = Annotated[
 ]
 
 
+def input_size(option: int | str | None) -> int | tuple[int, int] | None:
+    """Longer side, or width and height, of a network's input in pixels from `PX` or `WxH`;
+    UsageError if the option is neither.
+    """
+    if option is None:
+        return None
+    sides = [number(side) for side in str(option).split("x")]
+    is_range = all(_SMALLEST_PX <= side <= _LARGEST_PX and side.is_integer() for side in sides)
+    if not is_range or len(sides) > 2 or (len(sides) == 2 and any(side % 32 for side in sides)):
+        raise UsageError(
+            f"--size: expected a longer side from {_SMALLEST_PX} to {_LARGEST_PX} px, width and height "
+            f"in multiples of 32, such as 960x544, or (in runs) auto, got {quoted(str(option))}."
+        )
+    return int(sides[0]) if len(sides) == 1 else (int(sides[0]), int(sides[1]))
+
+
 def check_tracker(name: str, reid: Path | None) -> None:
     """UsageError if there is no such tracker, or if it does not compare appearance with a
     re-identification network.
@@ -177,7 +196,7 @@ class DetectionOptions(Options):
             "32, for a network of variable input size; auto = as in the model file, with a far "
             "pass where it pays (default: as in the model file, else 640).",
             flag="--size",
-            metavar="auto|PX|WIDTHxHEIGHT",
+            metavar="PX|WIDTHxHEIGHT",
             words=("auto",),
         ),
     ] = None
@@ -200,6 +219,15 @@ class DetectionOptions(Options):
         """Frames from a far pass to the next one; 0 = none, None = as it pays."""
         is_auto = self.size_px == "auto"
         return None if is_auto and self.far_pass is None else self.far_pass or 0
+
+    @field_validator("size_px")
+    @classmethod
+    def _known_size(cls, value: str | None) -> str | None:
+        try:
+            input_size(None if value == "auto" else value)
+        except UsageError as error:
+            raise contradiction(str(error), ("size_px",)) from error
+        return value
 
     @model_validator(mode="before")
     @classmethod

@@ -14,11 +14,10 @@ from track_range.detection.yolo.metadata import ModelOptions
 from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.files.input_files import quoted, read_text, shortened
 from track_range.foundation.files.numeric_text import number
-from track_range.run.options.detection import DetectionOptions
+from track_range.run.options.detection import DetectionOptions, input_size
 from track_range.tracking.appearance.reid import ReidModel
 from track_range.tracking.registry import TrackerOptions
 
-_SMALLEST_PX, _LARGEST_PX = 32, 4096  # of the sides of a network's input
 _MAX_NAME = 200  # largest number of characters of a class name
 
 
@@ -76,22 +75,6 @@ def open_detector(
     )
     runtime = Runtime(device=options.device, n_threads=options.threads)
     return YoloDetector(path, settings, options=model_options, runtime=runtime)
-
-
-def input_size(option: int | str | None) -> int | tuple[int, int] | None:
-    """Longer side, or width and height, of a network's input in pixels from `PX` or `WxH`;
-    UsageError if the option is neither.
-    """
-    if option is None:
-        return None
-    sides = [number(side) for side in str(option).split("x")]
-    is_range = all(_SMALLEST_PX <= side <= _LARGEST_PX and side.is_integer() for side in sides)
-    if not is_range or len(sides) > 2 or (len(sides) == 2 and any(side % 32 for side in sides)):
-        raise UsageError(
-            f"--size: expected a longer side from {_SMALLEST_PX} to {_LARGEST_PX} px, or width and "
-            f"height in multiples of 32, such as 960x544, got {quoted(str(option))}."
-        )
-    return int(sides[0]) if len(sides) == 1 else (int(sides[0]), int(sides[1]))
 
 
 def class_names(option: str | None) -> tuple[str, ...] | None:

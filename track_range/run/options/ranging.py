@@ -136,6 +136,8 @@ class RangingOptions(Options):
         """Texts that are a mounting, also of a `Mounting`."""
         from track_range.stereo.geometry.mounting import Mounting  # imports NumPy
 
+        if not isinstance(value, str | list | tuple | Mounting):
+            raise ValueError(f"expected a tr.Mounting or texts such as 'yaw=-58', found {value!r}")
         texts = handler(value.parts if isinstance(value, Mounting) else value)
         if texts:
             Mounting.of(texts)

@@ -28,6 +28,11 @@ def test_unusable_mounting_names_the_option(mount):
         RunSettings.of({"mono": "a.mp4", "mount": mount})
 
 
+def test_value_that_is_no_mounting():
+    with pytest.raises(UsageError, match=r"expected a tr\.Mounting or texts .*, found 5"):
+        PipelineOptions.of({"mount": 5})
+
+
 def test_heights_that_differ_are_a_contradiction():
     with pytest.raises(UsageError, match=r"z=2.0 in --mount and 1.5 in --camera-height-m"):
         PipelineOptions.of({"mount": "z=2", "camera_height_m": 1.5})
