@@ -15,6 +15,7 @@ The camera of a vehicle with the speed V along x and the yaw rate w (to the left
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from numbers import Real
@@ -123,6 +124,13 @@ class Mounting:
         pitch.
         """
         return abs(self.yaw_deg) <= AHEAD_DEG
+
+    def apart_deg(self, other: Mounting) -> float:
+        """Angle between the directions of travel in the camera's axes by this mounting and another,
+        0 to 180.
+        """
+        cosine = float(self.travel_from_camera[2] @ other.travel_from_camera[2])
+        return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
 
     def turned(self, right_deg: float) -> Mounting:
         """The mounting of a view of the camera whose axis is `right_deg` to the right of the

@@ -143,7 +143,10 @@ class GroundOdometry:
         # beside the road, the depth of the scene changes too much
         self._depth = SceneDepth() if abs(self._travel_from_camera[2, 2]) > _MIN_ALONG else None
         self._horizon = RoadHorizon()
-        self._side, self._direction = math.nan, TravelDirection(camera)
+        self._side, self._direction = (
+            math.nan,
+            TravelDirection(camera, has_mounting=travel_from_camera is not None),
+        )
         self._speed_mps = _FULL_MPS
         self._past: deque[_Picture] = deque()  # earlier frames, and at the end the last one
         self._span_s = 0.0  # of the last measurement

@@ -2,7 +2,8 @@
 
 A vehicle on a straight road drives along its axis, in which the camera looks, too. If the images
 expand from a column beside the principal point, the camera is turned, or the principal point is
-wrong; straight roads cannot tell which.
+wrong; straight roads cannot tell which. With a mounting, the same holds for the direction of travel
+that it states.
 """
 
 import math
@@ -17,8 +18,9 @@ _MIN_SIDE_RAD = 0.05  # angle from which it is noted: cameras are mounted within
 class TravelDirection:
     """Mean of one stream over straight roads; the state belongs to the instance."""
 
-    def __init__(self, camera: PinholeCamera) -> None:
-        self._focal_px = camera.fx_px
+    def __init__(self, camera: PinholeCamera, *, has_mounting: bool = False) -> None:
+        """With `has_mounting`, directions are relative to the one that a mounting states."""
+        self._focal_px, self._has_mounting = camera.fx_px, has_mounting
         self._straight_s = 0.0
         self.side_rad = math.nan  # positive = to the right; NaN = unknown
 
@@ -39,10 +41,17 @@ class TravelDirection:
         if self._straight_s < _MIN_S or not abs(self.side_rad) >= _MIN_SIDE_RAD:
             return ()
         side, other = ("right", "left") if self.side_rad > 0 else ("left", "right")
-        offset_px = self._focal_px * abs(self.side_rad)
+        side_deg, offset_px = math.degrees(abs(self.side_rad)), self._focal_px * abs(self.side_rad)
+        if self._has_mounting:
+            return (
+                f"On straight roads, the camera moves {side_deg:.1f} degrees to the {side} of the "
+                f"direction of travel by its mounting: it is turned further to the {other} than the "
+                "mounting states, or its principal point is wrong. Check the mounting (--mount, or "
+                "in the rig file).",
+            )
         return (
-            f"On straight roads, the camera moves {math.degrees(abs(self.side_rad)):.1f} degrees "
-            f"to the {side} of its axis: it is turned to the {other}, or its principal point is "
-            f"{offset_px:.0f} px too far to the {other}; lateral positions have this error. Check "
-            "the principal point of the calibration.",
+            f"On straight roads, the camera moves {side_deg:.1f} degrees to the {side} of its axis: "
+            f"it is turned to the {other}, or its principal point is {offset_px:.0f} px too far to "
+            f"the {other}; lateral positions have this error. Check the principal point of the "
+            "calibration.",
         )

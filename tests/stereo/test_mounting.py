@@ -169,3 +169,19 @@ def test_unusable_block_is_named(tmp_path, block, word):
     path.write_text(path.read_text() + f"mounting: {block}\n")
     with pytest.raises(RigError, match=f"rig.yaml.*{word}"):
         read_calibration(path, is_grey=False, is_pair=False)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "apart_deg"),
+    [
+        (Mounting(yaw_deg=180.0), Mounting(yaw_deg=-179.0), 1.0),
+        (Mounting(yaw_deg=-58.0), Mounting(yaw_deg=58.0), 116.0),
+        (Mounting(pitch_deg=10.0), Mounting(pitch_deg=-5.0), 15.0),
+        (Mounting(yaw_deg=30.0), Mounting(yaw_deg=30.0), 0.0),
+        (Mounting(), Mounting(yaw_deg=180.0), 180.0),
+        # about its own axis, a camera ahead moves as before
+        (Mounting(), Mounting(roll_deg=20.0), 0.0),
+    ],
+)
+def test_angle_between_the_directions_of_travel(one, other, apart_deg):
+    assert one.apart_deg(other) == pytest.approx(apart_deg, abs=1e-5)

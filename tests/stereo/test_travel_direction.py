@@ -10,8 +10,10 @@ from track_range.stereo.odometry.travel_direction import TravelDirection
 CAMERA = PinholeCamera(700.0, 700.0, 620.0, 188.0, 1240, 376)
 
 
-def notes_after(seconds: float, side_rad: float, yaw_rad_s: float = 0.0) -> tuple[str, ...]:
-    direction = TravelDirection(CAMERA)
+def notes_after(
+    seconds: float, side_rad: float, yaw_rad_s: float = 0.0, *, has_mounting: bool = False
+) -> tuple[str, ...]:
+    direction = TravelDirection(CAMERA, has_mounting=has_mounting)
     for _ in range(round(10 * seconds)):
         direction.add(0.1, side_rad, yaw_rad_s)
     return direction.notes
@@ -22,6 +24,13 @@ def test_a_direction_to_the_left_is_noted_with_its_pixels():
     (note,) = notes_after(2.0, -0.0886)
     assert "5.1 degrees to the left" in note
     assert "principal point is 62 px too far to the right" in note
+
+
+def test_a_mounting_is_named_as_the_cause():
+    (note,) = notes_after(2.0, -0.0886, has_mounting=True)
+    assert "5.1 degrees to the left of the direction of travel by its mounting" in note
+    assert "turned further to the right" in note
+    assert "px" not in note
 
 
 @pytest.mark.parametrize(

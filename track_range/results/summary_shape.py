@@ -133,6 +133,7 @@ _SUMMARY = _section(
     )
     | None,
     camera_estimate=_CameraEstimate | None,
+    mounting=_section(**_all(Figure, "yaw_deg pitch_deg roll_deg sigma_deg"), source=Text) | None,
     baseline_check=_section(sigma=Figure | None, evidence=Text) | None,
 )
 

@@ -1,5 +1,6 @@
 """Opens the inputs of a run: recording, boxes, ground truth, speed, and the pipeline for them."""
 
+import math
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, closing
@@ -39,13 +40,14 @@ from track_range.run.options.opened import DetectorOptions
 from track_range.run.options.settings import RunSettings
 from track_range.run.progress import step_progress
 from track_range.run.ready_model import ready_model
-from track_range.stereo.geometry.mounting import looks_ahead
+from track_range.stereo.geometry.mounting import AHEAD_DEG, Mounting, looks_ahead
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.self_calibration.mounting_search import MIN_ASIDE_S, PAIR_S, MountingSearch
 from track_range.stereo.speed.ego_speed import EgoSpeed
 from track_range.tracking.registry import ObjectTracker
 
-_REAR_DEG = 135.0  # angle from which a camera looks to the rear
+_REAR_DEG = 135.0  # angle from which a camera looks to the rear, or a direction is the opposite one
+_SURE_SIGMAS = 3.0  # difference from which the images contradict a mounting
 _SEARCHED_S = 30.0  # longest part of a recording in which its mounting is searched
 
 
@@ -161,31 +163,57 @@ def _with_estimate(
 
 def _with_mounting(recording: Recording, settings: RunSettings, rig: StereoRig | None) -> Recording:
     """The recording of one camera of unknown mounting with the one that its first images show, if
-    it does not look along the drive.
+    it does not look along the drive; a note, if they contradict a mounting that is known.
     """
     calibration, n_frames = recording.calibration, recording.n_frames
-    is_known = calibration.view_mounting(settings.mounting) is not None
+    known, view_deg = calibration.view_mounting(settings.mounting), calibration.view.yaw_deg
     is_short = n_frames is not None and n_frames < MIN_ASIDE_S * recording.fps
-    if is_known or is_short or recording.pair is not None or recording.live is not None:
+    if is_short or recording.pair is not None or recording.live is not None:
         return recording
-    search = MountingSearch(recording.camera, calibration.focal_sigma)
+    shown = _shown_mounting(recording, settings, rig)
+    if shown is None or (shown.is_ahead if known is None else not _contradicts(shown, known)):
+        return recording
+    apart_deg = shown.apart_deg(known or Mounting())
+    cause = " (or the vehicle reverses)" if apart_deg > _REAR_DEG else ""
+    doubt = (
+        ""
+        if known is None
+        else f" Its mounting, which is used, states {_direction(known)}: check it, and its sign "
+        "(yaw is positive to the left)."
+    )
+    note = (
+        f"The motion of the images shows that the camera looks {_direction(shown)} of the direction "
+        f"of travel{cause}; --mount yaw={round(shown.turned(-view_deg).yaw_deg)} states it.{doubt}"
+    )
+    opened = recording.opened
+    if known is None:
+        opened = replace(opened, mounting=shown, mounting_source="images")
+    return replace(recording, opened=replace(opened, file_notes=(*opened.file_notes, note)))
+
+
+def _shown_mounting(
+    recording: Recording, settings: RunSettings, rig: StereoRig | None
+) -> Mounting | None:
+    """The mounting of the view that the first images of a recording show; None = none."""
+    search = MountingSearch(recording.camera, recording.calibration.focal_sigma)
     with closing(open_input(settings, rig=rig)) as again:
         for frame in every_step(PAIR_S, again.frames):
             search.add(frame.left, frame.time_s)
             if search.mounting is not None or frame.time_s > _SEARCHED_S:
                 break
-    shown = search.mounting
-    if shown is None or shown.is_ahead:
-        return recording
-    yaw_deg, side = round(shown.yaw_deg), "left" if shown.yaw_deg > 0 else "right"
-    cause = " (or the vehicle reverses)" if abs(yaw_deg) > _REAR_DEG else ""
-    note = (
-        f"The motion of the images shows that the camera looks {abs(yaw_deg)} ± "
-        f"{shown.sigma_deg:.0f} degrees to the {side} of the direction of travel{cause}; "
-        f"--mount yaw={yaw_deg} states it."
+    return search.mounting
+
+
+def _contradicts(shown: Mounting, known: Mounting) -> bool:
+    """Whether a mounting is surely and clearly another."""
+    return shown.apart_deg(known) > max(
+        _SURE_SIGMAS * math.hypot(shown.sigma_deg, known.sigma_deg), AHEAD_DEG
     )
-    notes = (*recording.opened.file_notes, note)
-    return replace(recording, opened=replace(recording.opened, mounting=shown, file_notes=notes))
+
+
+def _direction(mounting: Mounting) -> str:
+    yaw_deg, side = round(mounting.yaw_deg), "left" if mounting.yaw_deg > 0 else "right"
+    return f"{abs(yaw_deg)} ± {mounting.sigma_deg:.0f} degrees to the {side}"
 
 
 def _known_distances(settings: RunSettings) -> KnownDistances:

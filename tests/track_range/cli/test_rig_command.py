@@ -6,6 +6,7 @@ import pytest
 
 from tests.support.images.board_scenes import CAMERA, rig
 from tests.support.recordings.device_calibrations import ZED
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.rig_formats.reading import load_calibration, load_rig
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
@@ -42,6 +43,14 @@ def test_one_camera(tmp_path, cli):
     # 640 px at 520 px: atan(315.5 / 520) + atan(324.5 / 520)
     assert "63.2" in printed
     assert "-0.12, 0.05, 0.001, -0.0005, 0" in printed
+
+
+def test_the_mounting_is_shown_as_it_is_given(tmp_path, cli):
+    path = tmp_path / "a.yaml"
+    save_camera(CAMERA, path)
+    assert "--mount" not in cli("rig", "show", path)[1]
+    save_camera(CAMERA, path, mounting=Mounting(yaw_deg=-58.0, z_m=1.5))
+    assert "yaw=-58.0,pitch=0.0,roll=0.0,x=0.0,y=0.0,z=1.5,sigma=2.0" in cli("rig", "show", path)[1]
 
 
 def test_kitti_lacks_a_size(tmp_path, cli):

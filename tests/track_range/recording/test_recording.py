@@ -425,3 +425,19 @@ def test_direction_of_a_view_in_the_vehicle():
     assert mounted.view_mounting().yaw_deg == pytest.approx(-50.0)
     assert mounted.view_mounting().x_m == 1.5
     assert mounted.view_mounting(Mounting(yaw_deg=90.0)).yaw_deg == pytest.approx(70.0)
+
+
+def test_a_mounting_has_its_source():
+    """The section of summary.json; the angles are those of the view."""
+    assumed = calibration_of(CAMERA, (CAMERA.size_px,))
+    angles = {"yaw_deg": 0.0, "pitch_deg": 0.0, "roll_deg": 0.0}
+    assert assumed.mounting_summary(None) == {**angles, "sigma_deg": None, "source": "assumed"}
+    aside = replace(assumed, view=LensView(yaw_deg=20.0))
+    assert aside.mounting_summary(None)["source"] == "assumed"
+    stated = replace(aside, mounting=Mounting(yaw_deg=-30.0, sigma_deg=1.0))
+    section = stated.mounting_summary(None)
+    assert (section["yaw_deg"], section["sigma_deg"], section["source"]) == (-50.0, 1.0, "rig")
+    shown = replace(assumed, mounting=Mounting(yaw_deg=-30.0), mounting_source="images")
+    assert shown.mounting_summary(None)["source"] == "images"
+    section = shown.mounting_summary(Mounting(yaw_deg=5.0))
+    assert (section["yaw_deg"], section["source"]) == (5.0, "given")

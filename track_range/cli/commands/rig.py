@@ -179,6 +179,8 @@ def _show(options: ShowOptions) -> None:
         print_line(console, f"{name}: distortion coefficients{model} {terms}.")
     if isinstance(calibration, StereoRig):
         _show_pair(calibration, options.source)
+    if content.mounting is not None:
+        print_line(console, f"mounting, as for --mount: {','.join(content.mounting.parts)}.")
     print_line(console, *notes)
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -106,6 +106,7 @@ class RecordingCalibration:
     road: RoadCalibration | None = None
     # where the left or only camera is in its vehicle, and where it looks; None = unknown
     mounting: Mounting | None = None
+    mounting_source: Literal["rig", "images"] = "rig"  # of a mounting that is known
     accuracy: RigAccuracy | None = None  # of a calibration with a board; None = unknown
     # other readings of the calibration or focal length
     alternatives: tuple[image_size.FocalAlternative, ...] = ()
@@ -160,6 +161,18 @@ class RecordingCalibration:
         if self.view.yaw_deg:
             return (mounting or Mounting()).turned(self.view.yaw_deg)
         return mounting
+
+    def mounting_summary(self, given: Mounting | None) -> dict[str, Any]:
+        """Section `mounting` of summary.json: that of the view, with the camera as `given`."""
+        mounting = self.view_mounting(given) or Mounting()
+        is_known = given is not None or self.mounting is not None
+        return {
+            "yaw_deg": round(mounting.yaw_deg, 2),
+            "pitch_deg": round(mounting.pitch_deg, 2),
+            "roll_deg": round(mounting.roll_deg, 2),
+            "sigma_deg": round(mounting.sigma_deg, 2) if is_known else None,
+            "source": "given" if given else self.mounting_source if is_known else "assumed",
+        }
 
     @property
     def camera_height_m(self) -> float | None:

@@ -67,6 +67,7 @@ class RecordedCameras(Reports):
             "focal_px": self.recording.camera.fx_px,
             "focal_sigma": round(calibration.focal_sigma, 4),
             "camera_estimate": None if estimate is None else estimate.summary(),
+            "mounting": calibration.mounting_summary(self.settings.mounting),
             "region": self.region,
             "baseline_m": rig.baseline_m if rig else None,
         }
