@@ -43,6 +43,7 @@ _NOT_AHEAD = (
     "The view does not look along the drive (--mount, --yaw-deg): it has no lane lines, no times to "
     "collision and no collision warnings; distances are along its axis."
 )
+_OTHER_HEIGHT = "The camera height is as given, and not the {:g} m of the calibration or mounting."
 
 
 def open_input(
@@ -92,6 +93,7 @@ def open_pipeline(
     check = _scale_check(context, priors, calibration, settings.lane_width_m)
     warning = CollisionWarning(settings.warning_settings) if is_ahead else None
     camera = calibration.camera
+    mounted_m, used_m = _mounted_m(mounting, calibration), context.camera_height_m
     return FramePipeline(
         detection=DetectionStage(
             detect=boxes.detect,
@@ -112,7 +114,11 @@ def open_pipeline(
             mounting=mounting,
         ),
         alarming=AlarmStage(camera, warning),
-        setup_notes=(*appearance_notes, *(() if is_ahead else (_NOT_AHEAD,))),
+        setup_notes=(
+            *appearance_notes,
+            *((_OTHER_HEIGHT.format(mounted_m),) if mounted_m not in (None, used_m) else ()),
+            *(() if is_ahead else (_NOT_AHEAD,)),
+        ),
     )
 
 
@@ -123,14 +129,13 @@ def _method_context(
     region: Region,
     mounting: Mounting | None,
 ) -> MethodContext:
-    given_m = settings.camera_height_m or (None if mounting is None else mounting.z_m)
     return MethodContext(
         camera=calibration.camera,
         rig=calibration.rig,
         focal_sigma=calibration.focal_sigma,
         size_model=load_curves(settings.curves, region),
         box_errors=boxes.box_errors,
-        camera_height_m=given_m or calibration.camera_height_m,
+        camera_height_m=settings.camera_height_m or _mounted_m(mounting, calibration),
         region=region,
         lane_width_m=settings.lane_width_m,
         has_visible_boxes=settings.detections is None,
@@ -139,6 +144,11 @@ def _method_context(
         sgbm_options=settings.sgbm_options,
         runtime=Runtime(n_threads=settings.threads, device=settings.device),
     )
+
+
+def _mounted_m(mounting: Mounting | None, calibration: RecordingCalibration) -> float | None:
+    """Height of the camera in its mounting, else in its calibration; None = unknown."""
+    return (None if mounting is None else mounting.z_m) or calibration.camera_height_m
 
 
 def _road_height_m(context: MethodContext) -> float:

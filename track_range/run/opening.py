@@ -181,9 +181,10 @@ def _with_mounting(recording: Recording, settings: RunSettings, rig: StereoRig |
         else f" Its mounting, which is used, states {_direction(known)}: check it, and its sign "
         "(yaw is positive to the left)."
     )
+    yaw_deg = round(shown.turned(-view_deg).yaw_deg)
     note = (
-        f"The motion of the images shows that the camera looks {_direction(shown)} of the direction "
-        f"of travel{cause}; --mount yaw={round(shown.turned(-view_deg).yaw_deg)} states it.{doubt}"
+        f"The motion of the images shows that the camera looks {_direction(shown)}{cause}; "
+        f"--mount yaw={180 if yaw_deg == -180 else yaw_deg} states it.{doubt}"
     )
     opened = recording.opened
     if known is None:
@@ -212,8 +213,10 @@ def _contradicts(shown: Mounting, known: Mounting) -> bool:
 
 
 def _direction(mounting: Mounting) -> str:
-    yaw_deg, side = round(mounting.yaw_deg), "left" if mounting.yaw_deg > 0 else "right"
-    return f"{abs(yaw_deg)} ± {mounting.sigma_deg:.0f} degrees to the {side}"
+    degrees, side = abs(round(mounting.yaw_deg)), "left" if mounting.yaw_deg > 0 else "right"
+    if degrees == 180:
+        return f"to the rear (± {mounting.sigma_deg:.0f} degrees)"
+    return f"{degrees} ± {mounting.sigma_deg:.0f} degrees to the {side} of the direction of travel"
 
 
 def _known_distances(settings: RunSettings) -> KnownDistances:

@@ -1,5 +1,6 @@
 """What the pipeline of a run takes as known of its cameras."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from track_range.run.box_source import boxes_of
 from track_range.run.build import open_pipeline
 from track_range.run.options.python_keywords import pipeline_options
 from track_range.stereo.geometry.focal_guess import FocalGuess
+from track_range.stereo.geometry.mounting import Mounting
 
 SIZE_PX = (128, 48)
 
@@ -47,4 +49,25 @@ def test_evidence_of_an_estimated_focal_length_counts_once(film, tmp_path: Path,
     assert prior.kind == ("given" if is_given else "unknown")
     assert prior.value == pytest.approx(100.0, rel=0.01)
     assert 0.002 < prior.sigma < 0.03
+    pipeline.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "notes"),
+    [
+        (
+            {"camera_height_m": 1.5},
+            ("The camera height is as given, and not the 2.03 m of the calibration or mounting.",),
+        ),
+        ({"camera_height_m": 2.03}, ()),
+        ({}, ()),
+        ({"camera_height_m": 1.5, "mount": "yaw=1"}, ()),
+    ],
+)
+def test_height_in_place_of_that_of_the_calibration(film, tmp_path: Path, options, notes):
+    cameras = calibration(film(tmp_path / "drive.mp4", [0.0, 0.1]), 100.0)
+    cameras = replace(cameras, mounting=Mounting(z_m=2.03))
+    options = pipeline_options({"lanes": "off", **options})
+    pipeline = open_pipeline(options, cameras, boxes_of(NoBoxes()))
+    assert pipeline.setup_notes == notes
     pipeline.close()

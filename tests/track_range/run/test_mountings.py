@@ -9,6 +9,7 @@ import pytest
 
 from tests.stereo.streets import CAMERA, HEIGHT_M, street
 from tests.support.recordings.recording_files import write_video
+from track_range.run.opening import _direction
 from track_range.stereo.geometry.mounting import Mounting
 
 SPEED_MPS = 6.0
@@ -96,3 +97,16 @@ def test_a_wrong_sign_is_named_on_a_real_drive(cli, shared_data, tmp_path):
     (shown,) = (note for note in notes if "motion of the images" in note)
     assert "57 ± 2 degrees to the right" in shown
     assert "58 ± 2 degrees to the left" in shown
+
+
+@pytest.mark.parametrize(
+    ("yaw_deg", "words"),
+    [
+        (-179.8, "to the rear (± 2 degrees)"),
+        (179.8, "to the rear (± 2 degrees)"),
+        (-150.0, "150 ± 2 degrees to the right of the direction of travel"),
+        (58.0, "58 ± 2 degrees to the left of the direction of travel"),
+    ],
+)
+def test_words_for_a_direction(yaw_deg, words):
+    assert _direction(Mounting(yaw_deg=yaw_deg)) == words
