@@ -80,7 +80,7 @@ _CLOCK_SIGMA = 0.001  # of the clocks of cameras
 # by any factor; boards have squares of all sizes
 _WRONG: tuple[tuple[float, float], ...] = (0.25, 0.015), (1.5, 0.005)
 _WRONG_BASELINE = (0.25, 0.03), (1.5, 0.02)
-_WRONG_HEIGHT = (0.2, 0.1), (1.5, 0.005)  # heights are often guessed, or those of another vehicle
+_WRONG_HEIGHT = (0.12, 0.04), (1.5, 0.005)  # often guessed, or that of another vehicle
 _WRONG_OFFSET = ((4.0, 0.05),)  # px: a camera that was hit, or videos cropped after the calibration
 # wrong clocks are rare: they are those of conversions
 _WRONG_CLOCK = ((0.3, 0.003),)
