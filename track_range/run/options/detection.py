@@ -14,7 +14,6 @@ from track_range.detection.formats.titles import READ_TITLES
 from track_range.detection.models.devices import Device
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import quoted
-from track_range.foundation.files.numeric_text import number
 from track_range.foundation.schemas.options import Options, contradiction, option
 
 _shared_option = partial(option, is_shared=True)
@@ -108,6 +107,8 @@ def input_size(option: int | str | None) -> int | tuple[int, int] | None:
     """Longer side, or width and height, of a network's input in pixels from `PX` or `WxH`;
     UsageError if the option is neither.
     """
+    from track_range.foundation.files.numeric_text import number  # imports NumPy
+
     if option is None:
         return None
     sides = [number(side) for side in str(option).split("x")]
