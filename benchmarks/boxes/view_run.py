@@ -73,7 +73,8 @@ class _RoadOfDrive(GroundOdometry):
     """
 
     def __init__(self, view: RoadView, height_m: float, image_motion: _YawRate, seed: int) -> None:
-        super().__init__(view.camera, height_m)
+        axes = view.mounting.travel_from_camera
+        super().__init__(view.camera, height_m, travel_from_camera=axes)
         rng = np.random.default_rng([seed, 35])
         times_s, n = view.times_s, len(view.times_s)
         stays = float(np.exp(-np.diff(times_s).mean() / _HORIZON_S))
