@@ -1,19 +1,19 @@
 """Opens the inputs of a run: recording, boxes, ground truth, speed, and the pipeline for them."""
 
-import math
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack, closing
-from dataclasses import dataclass, replace
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
-from track_range.calibration.drive.drive_video import DriveVideo, every_step
+from track_range.calibration.drive.drive_video import DriveVideo
 from track_range.calibration.drive.known_metres import KnownMeasurements, known_metres
 from track_range.calibration.drive.pre_pass import PrePass
+from track_range.calibration.drive.shown_mounting import with_mounting
 from track_range.detection.detector import ObjectDetector
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.progress import StepProgress
@@ -40,15 +40,10 @@ from track_range.run.options.opened import DetectorOptions
 from track_range.run.options.settings import RunSettings
 from track_range.run.progress import step_progress
 from track_range.run.ready_model import ready_model
-from track_range.stereo.geometry.mounting import AHEAD_DEG, Mounting, looks_ahead
+from track_range.stereo.geometry.mounting import looks_ahead
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.self_calibration.mounting_search import MIN_ASIDE_S, PAIR_S, MountingSearch
 from track_range.stereo.speed.ego_speed import EgoSpeed
 from track_range.tracking.registry import ObjectTracker
-
-_REAR_DEG = 135.0  # angle from which a camera looks to the rear, or a direction is the opposite one
-_SURE_SIGMAS = 3.0  # difference from which the images contradict a mounting
-_SEARCHED_S = 30.0  # longest part of a recording in which its mounting is searched
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,13 +89,9 @@ def open_run(
     with ExitStack() as on_error:
         on_error.callback(recording.close)
         report(LOADING)
-        if detector is None:
-            models = partial(ready_model, console=console)
-            boxes = open_box_source(settings, recording, models, open_detector)
-        else:
-            boxes = boxes_of(detector)
-        box_source = outside_regions(boxes, settings.ignore, recording.calibration)
-        recording = _with_mounting(recording, settings, rig)
+        box_source = _box_source(settings, recording, detector, open_detector, console)
+        again = partial(open_input, settings, rig=rig)
+        recording = with_mounting(recording, settings.mounting, again)
         mounting = recording.opened.view_mounting(settings.mounting)
         speed = open_speed(settings.ego_speed, recording, mounting)
         if detector is None:  # an object may depend on the order of the frames
@@ -139,6 +130,22 @@ def open_run(
     )
 
 
+def _box_source(
+    settings: RunSettings,
+    recording: Recording,
+    detector: ObjectDetector | None,
+    open_detector: Callable[[Path, DetectorOptions], YoloDetector],
+    console: Console,
+) -> BoxSource:
+    """The boxes of a detector, None = as the settings choose, outside of ignored regions."""
+    if detector is None:
+        models = partial(ready_model, console=console)
+        boxes = open_box_source(settings, recording, models, open_detector)
+    else:
+        boxes = boxes_of(detector)
+    return outside_regions(boxes, settings.ignore, recording.calibration)
+
+
 def _with_estimate(
     recording: Recording,
     settings: RunSettings,
@@ -159,64 +166,6 @@ def _with_estimate(
     # rectified and undistorted images are others; all candidates belong to the latest detection
     is_same = recording.pair is None and not estimate.distortion and not settings.anonymize
     return recording.with_camera(estimate), remaining if is_same else boxes
-
-
-def _with_mounting(recording: Recording, settings: RunSettings, rig: StereoRig | None) -> Recording:
-    """The recording of one camera of unknown mounting with the one that its first images show, if
-    it does not look along the drive; a note, if they contradict a mounting that is known.
-    """
-    calibration, n_frames = recording.calibration, recording.n_frames
-    known, view_deg = calibration.view_mounting(settings.mounting), calibration.view.yaw_deg
-    is_short = n_frames is not None and n_frames < MIN_ASIDE_S * recording.fps
-    if is_short or recording.pair is not None or recording.live is not None:
-        return recording
-    shown = _shown_mounting(recording, settings, rig)
-    if shown is None or (shown.is_ahead if known is None else not _contradicts(shown, known)):
-        return recording
-    apart_deg = shown.apart_deg(known or Mounting())
-    cause = " (or the vehicle reverses)" if apart_deg > _REAR_DEG else ""
-    doubt = (
-        ""
-        if known is None
-        else f" Its mounting, which is used, states {_direction(known)}: check it, and its sign "
-        "(yaw is positive to the left)."
-    )
-    yaw_deg = round(shown.turned(-view_deg).yaw_deg)
-    note = (
-        f"The motion of the images shows that the camera looks {_direction(shown)}{cause}; "
-        f"--mount yaw={180 if yaw_deg == -180 else yaw_deg} states it.{doubt}"
-    )
-    opened = recording.opened
-    if known is None:
-        opened = replace(opened, mounting=shown, mounting_source="images")
-    return replace(recording, opened=replace(opened, file_notes=(*opened.file_notes, note)))
-
-
-def _shown_mounting(
-    recording: Recording, settings: RunSettings, rig: StereoRig | None
-) -> Mounting | None:
-    """The mounting of the view that the first images of a recording show; None = none."""
-    search = MountingSearch(recording.camera, recording.calibration.focal_sigma)
-    with closing(open_input(settings, rig=rig)) as again:
-        for frame in every_step(PAIR_S, again.frames):
-            search.add(frame.left, frame.time_s)
-            if search.mounting is not None or frame.time_s > _SEARCHED_S:
-                break
-    return search.mounting
-
-
-def _contradicts(shown: Mounting, known: Mounting) -> bool:
-    """Whether a mounting is surely and clearly another."""
-    return shown.apart_deg(known) > max(
-        _SURE_SIGMAS * math.hypot(shown.sigma_deg, known.sigma_deg), AHEAD_DEG
-    )
-
-
-def _direction(mounting: Mounting) -> str:
-    degrees, side = abs(round(mounting.yaw_deg)), "left" if mounting.yaw_deg > 0 else "right"
-    if degrees == 180:
-        return f"to the rear (± {mounting.sigma_deg:.0f} degrees)"
-    return f"{degrees} ± {mounting.sigma_deg:.0f} degrees to the {side} of the direction of travel"
 
 
 def _known_distances(settings: RunSettings) -> KnownDistances:

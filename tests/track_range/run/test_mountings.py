@@ -9,7 +9,7 @@ import pytest
 
 from tests.stereo.streets import CAMERA, HEIGHT_M, street
 from tests.support.recordings.recording_files import write_video
-from track_range.run.opening import _direction
+from track_range.calibration.drive.shown_mounting import direction_text
 from track_range.stereo.geometry.mounting import Mounting
 
 SPEED_MPS = 6.0
@@ -109,4 +109,4 @@ def test_a_wrong_sign_is_named_on_a_real_drive(cli, shared_data, tmp_path):
     ],
 )
 def test_words_for_a_direction(yaw_deg, words):
-    assert _direction(Mounting(yaw_deg=yaw_deg)) == words
+    assert direction_text(Mounting(yaw_deg=yaw_deg)) == words
