@@ -69,7 +69,8 @@ _SIZES_M = {  # typical length and smallest width of each class, m
 }
 LENGTH_M, _MIN_WIDTH_M = np.array([_SIZES_M[name] for name in ROAD_CLASSES]).T
 _TYPICAL_WIDTH = 1.2  # typical width over the smallest one
-# relative standard deviation of the half size of a vehicle, from the edge that is not cut to its middle
+# relative standard deviation of the half size of a vehicle, from the edge that is not cut to its
+# middle
 _HALF_SIGMA = 0.15
 
 

@@ -79,8 +79,8 @@ class RigScale:
         return replace(ranges, distance_m=distance_m, sigma_m=sigma * distance_m)
 
     def corrected_motion(self, motion: EgoMotion) -> EgoMotion:
-        """A motion that the pair, or the road, measured with the true scale, with its error; without a speed if
-        the scale is not known.
+        """A motion that the pair, or the road, measured with the true scale, with its error;
+        without a speed if the scale is not known.
         """
         if self.factor == 1.0 and not self.sigma:
             return motion

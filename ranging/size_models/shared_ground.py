@@ -57,8 +57,8 @@ class GroundPrior:
     # fraction of objects with the second standard deviation
     rough_share: Annotated[Number, Field(ge=0, lt=1)] = 0.18
     # standard deviation of the curvature of the road's profile, 1/m: that of contact points in
-    # KITTI's labels is about 1e-4; design rules allow 1.4e-3 on crests of streets for 50 km/h (AASHTO, A
-    # Policy on Geometric Design of Highways and Streets)
+    # KITTI's labels is about 1e-4; design rules allow 1.4e-3 on crests of streets for 50 km/h
+    # (AASHTO, A Policy on Geometric Design of Highways and Streets)
     bend_per_m: Sigma = 1.5e-4
 
     def rough_variance(self, inverse_depth: FloatArray, bearing: FloatArray) -> FloatArray:

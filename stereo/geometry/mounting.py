@@ -5,8 +5,8 @@ speed is known, at the height of the road. The camera's axes are x right, y down
 
     vehicle_from_camera = Rz(yaw) Ry(pitch) Rx(roll) L        L: camera axes of a camera that looks along x, level
 
-so that a positive yaw turns the axis to the left, a positive pitch turns it down, as in a calibration from the road,
-and a positive roll lowers the right side of the camera.
+so that a positive yaw turns the axis to the left, a positive pitch turns it down, as in a
+calibration from the road, and a positive roll lowers the right side of the camera.
 
 The camera of a vehicle with the speed V along x and the yaw rate w (to the left) moves with
 
@@ -29,9 +29,9 @@ from track_range.stereo.geometry.virtual_pinhole import view_from_camera
 
 # of the axes of a level camera that looks forward, in those of the vehicle
 _LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-# Largest angle in the road's plane between the axis and the drive of a camera that looks ahead. Lane
-# lines, the path of the vehicle and gaps are taken along the axis: at 10 degrees, the path is half a
-# lane beside it at 10 m, where warnings begin to matter, and a whole lane at 20 m.
+# Largest angle in the road's plane between the axis and the drive of a camera that looks ahead.
+# Lane lines, the path of the vehicle and gaps are taken along the axis: at 10 degrees, the path is
+# half a lane beside it at 10 m, where warnings begin to matter, and a whole lane at 20 m.
 AHEAD_DEG = 10.0
 # smallest and largest value of each number
 _LIMITS = {

@@ -34,7 +34,8 @@ class EgoSpeed:
     time_sigma_s: float = 0.0  # standard deviation of the time offset that all samples share
     # (N, 2) latitude and longitude, to check the speeds; None = unknown
     positions_deg: FloatArray | None = None
-    # (N,) speed of the vehicle over ground, if `speed_mps` is along the camera's axis; None = unknown
+    # (N,) speed of the vehicle over ground, if `speed_mps` is along the camera's axis; None =
+    # unknown
     over_ground_mps: FloatArray | None = None
 
     def of_vehicle(self) -> EgoSpeed:
