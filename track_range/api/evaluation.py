@@ -2,6 +2,7 @@
 dictionary.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -100,21 +101,30 @@ def evaluate_tracks(truth: str | Path, results: str | Path, **options: Any) -> d
 
 
 @KeywordsInErrors(EventEvaluationSettings)
-def evaluate_events(events: str | Path, truth: str | Path, **options: Any) -> dict[str, Any]:
+def evaluate_events(
+    events: str | Path | Sequence[str | Path],
+    truth: str | Path | Sequence[str | Path],
+    **options: Any,
+) -> dict[str, Any]:
     """Hits, misses, false alarms and lead times of warnings or events; like `track-range evaluate
     events --json`.
 
     Args:
-        events: events.csv or events.parquet of a run, or its folder.
-        truth: contacts (contacts.csv of a simulated drive), or labelled events with the columns of
-            events.csv.
+        events: events.csv or events.parquet of a run, or its folder; a sequence for several drives
+            together.
+        truth: contacts (contacts.csv of a simulated drive), what happens (class, first_visible_s,
+            conflict_s, nearest_s, warning), labelled events with the columns of events.csv, or
+            "none"; a sequence, in the order of the runs, for several drives.
         options: options of the command: `tracks="run/tracks.csv"`, `boxes="truth.csv"`,
-            `hours=2.5`, `min_lead_s=0.8`.
+            `hours=2.5`, `min_lead_s=0.8`, `until_s=10.3`.
 
     Raises:
         UsageError: an option is unknown or invalid.
         EventFileError, OutputError, LabelFileError: a file cannot be used.
     """
-    return _evaluate_events(
-        EventEvaluationSettings.of({"events": events, "truth": truth, **options})
-    )
+    given = {"events": _several(events), "truth": _several(truth), **options}
+    return _evaluate_events(EventEvaluationSettings.of(given))
+
+
+def _several(paths: str | Path | Sequence[str | Path]) -> tuple[str | Path, ...]:
+    return (paths,) if isinstance(paths, str | Path) else tuple(paths)

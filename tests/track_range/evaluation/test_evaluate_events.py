@@ -107,6 +107,7 @@ def test_nothing_at_all():
         "false_alarms": 0,
         "hours": None,
         "false_alarms_per_hour": None,
+        "false_alarms_per_hour_95": None,
         "lead_s": [],
     }
 
@@ -375,7 +376,7 @@ def test_labels_of_another_drive(folders):
     ("content", "word"),
     [
         ("", "contacts"),
-        ("frame,id\n1,2\n", "neither"),
+        ("frame,id\n1,2\n", "none of them"),
         ("object_id,class\n1,car\n", "contact_s"),
         (f"{CONTACTS}1,car\n", "cells"),
         (f"{CONTACTS}1,car,nan\n", "contact_s"),
@@ -429,7 +430,8 @@ def test_command(folders):
     assert done.status == 0, done.stderr
     figures = json.loads((folders / "scores.json").read_text())
     assert set(figures["overall"]) == {
-        *("hits", "misses", "false_alarms", "hours", "false_alarms_per_hour", "lead_s")
+        *("hits", "misses", "false_alarms", "hours", "lead_s"),
+        *("false_alarms_per_hour", "false_alarms_per_hour_95"),
     }
     assert figures["by_kind"]["forward_collision"] == figures["overall"]
     assert np.isfinite(figures["overall"]["lead_s"]).all()

@@ -1,11 +1,14 @@
-"""Evaluation of the events of a run: warnings against contacts, or events against labelled events.
+"""Evaluation of the events of runs: warnings against contacts or what happens, or events against
+labelled events.
 
-Hits, misses, false alarms, leads and the objects of warnings are defined in `scores`. Where the
+Hits, misses, false alarms, leads and the objects of warnings are defined in `scores` and, of what
+happens, in `occurrences`. Where the
 tracks of the run and labelled boxes with closing speeds are known, the errors of the closing speeds
 are added, by class.
 """
 
 import math
+import re
 from collections.abc import Collection, Container, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,18 +18,28 @@ import numpy as np
 
 from track_range.detection.classes import road_class_of
 from track_range.detection.formats.label_formats import is_blank
+from track_range.evaluation.events.occurrences import (
+    BY_OCCURRENCES,
+    OCCURRENCE_COLUMNS,
+    Occurrence,
+    end_of,
+    occurrence_scores,
+    read_occurrences,
+)
 from track_range.evaluation.events.scores import (
     CONTACT_COLUMNS,
     Contact,
     contact_scores,
     event_scores,
     is_warning,
+    known_from_s,
     objects_by_boxes,
     objects_by_time,
+    pooled,
     read_boxes,
     read_contacts,
 )
-from track_range.evaluation.events.settings import EventEvaluationSettings
+from track_range.evaluation.events.settings import NOTHING_HAPPENS, EventEvaluationSettings
 from track_range.foundation.files.input_files import counted, first_line
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.files.structured_text import read_json
@@ -61,91 +74,151 @@ BY_TIME = (
 def evaluate_events(settings: EventEvaluationSettings) -> dict[str, Any]:
     """Results as plain values for JSON; see docs/concepts/events.md for the keys.
 
-    Raises EventFileError, OutputError, LabelFileError: a file cannot be read.
+    Of several drives, the sections of all together and the results of each. Raises EventFileError,
+    OutputError, LabelFileError: a file cannot be read.
     """
-    folder = settings.events if settings.events.is_dir() else settings.events.parent
-    path = folder / EVENTS_FILE if settings.events.is_dir() else settings.events
-    inputs = _Inputs(folder, settings.truth.parent)
-    is_labelled = _is_file_of_events(settings.truth)
-    needed = NEEDED_COLUMNS if is_labelled else (*NEEDED_COLUMNS, "warning_s")
-    events = read_events(path, needed=needed)
-    rows = inputs.rows(settings.tracks)
-    hours = inputs.hours(rows)
-    hours = hours if settings.hours is None else settings.hours
-    if is_labelled:
-        labelled = read_events(settings.truth)
-        if hours is None:
-            hours = inputs.last_hours([*events, *labelled], ())
-        scores = event_scores(events, labelled, hours=hours)
-        return scores | inputs.facts(
-            settings, events, "labelled events of the same kind and class, at most 1 s apart"
-        )
-    contacts = read_contacts(settings.truth)
-    if hours is None:
-        hours = inputs.last_hours(events, [contact.contact_s for contact in contacts])
-    boxes = inputs.boxes(settings.boxes)
+    n_runs = len(settings.events)
+    truths = settings.truth * n_runs if settings.truth == NOTHING_HAPPENS else settings.truth
+    drives = [
+        _evaluate_drive(settings, events, truth)
+        for events, truth in zip(settings.events, truths, strict=True)
+    ]
+    if n_runs == 1:
+        return drives[0]
+    notes = [f"{drive['events']}: {note}" for drive in drives for note in drive["notes"]]
+    return {**pooled(drives), "drives": drives, "notes": notes}
+
+
+def _evaluate_drive(settings: EventEvaluationSettings, given: Path, truth: Path) -> dict[str, Any]:
+    """Results of one drive, from its events or the folder of its run, and its truth."""
+    folder = given if given.is_dir() else given.parent
+    kind = "nothing" if truth in NOTHING_HAPPENS else _kind_of_truth(truth)
+    drive = _Drive(folder, truth.parent)
+    all_events = read_events(
+        given / EVENTS_FILE if given.is_dir() else given,
+        needed=NEEDED_COLUMNS if kind == "events" else (*NEEDED_COLUMNS, "warning_s"),
+    )
+    occurrences = read_occurrences(truth) if kind == "occurrences" else ()
+    rows = drive.rows(settings.tracks)
+    drive.hours = drive.processed_hours(rows)
+    events = drive.cut(all_events, settings.until_s, occurrences)
+    if settings.hours is not None:
+        drive.hours = settings.hours
+    if kind == "events":
+        figures = _against_events(drive, events, read_events(truth), settings.until_s)
+    elif kind == "contacts":
+        figures = _against_contacts(settings, drive, events, rows, read_contacts(truth))
+    else:
+        figures = _against_occurrences(drive, events, occurrences)
+    drive.note_on_later(events)
+    return {**figures, "events": str(given), "truth": str(truth), "notes": drive.notes}
+
+
+def _against_events(
+    drive: "_Drive", events: Sequence[Event], labelled: Sequence[Event], until_s: float | None
+) -> dict[str, Any]:
+    if until_s is not None:
+        labelled = [event for event in labelled if event.start_s < until_s]
+    hours = drive.known_hours([*events, *labelled], ())
+    protocol = "labelled events of the same kind and class, at most 1 s apart"
+    return {**event_scores(events, labelled, hours=hours), "protocol": protocol}
+
+
+def _against_occurrences(
+    drive: "_Drive", events: Sequence[Event], occurrences: Sequence[Occurrence]
+) -> dict[str, Any]:
+    hours = drive.known_hours(events, [one.nearest_s for one in occurrences])
+    warnings = [event for event in events if is_warning(event)]
+    part_s = (drive.starts_s, drive.ends_s)
+    scores = occurrence_scores(warnings, occurrences, part_s=part_s, hours=hours)
+    n_open = sum(row["outcome"] == "not_evaluated" for row in scores["occurrences"])
+    for n, fact in (
+        (
+            n_open,
+            f"rows are not wholly between {part_s[0]:.1f} and {part_s[1]:.1f} s: not evaluated",
+        ),
+        (
+            scores["overall"]["ambiguous"],
+            "warnings fit several rows, which have no boxes: the best outcome counts (fits_rows)",
+        ),
+        (
+            scores["overall"]["repeated"],
+            "warnings on rows with an earlier one do not count, and may be on another object",
+        ),
+    ):
+        drive.notes += [f"{n} of the {fact}."] if n else []
+    return {**scores, "protocol": BY_OCCURRENCES}
+
+
+def _against_contacts(
+    settings: EventEvaluationSettings,
+    drive: "_Drive",
+    events: Sequence[Event],
+    rows: Rows | None,
+    contacts: Sequence[Contact],
+) -> dict[str, Any]:
+    hours = drive.known_hours(events, [contact.contact_s for contact in contacts])
+    boxes = drive.boxes(settings.boxes)
+    closing = {}
     if rows is None or boxes is None:
         objects, protocol = objects_by_time(events, contacts), BY_TIME
-        inputs.notes.append(
+        drive.notes.append(
             "Warnings are assigned to contacts by number, class and time, because "
             f"{'the tracks of the run are' if rows is None else 'labels of the objects are'} "
             f"missing ({'--tracks' if rows is None else '--boxes'})."
         )
     else:
         objects, protocol = objects_by_boxes(events, rows, boxes), BY_BOXES
-        if missing := sorted(
-            {contact.object_id for contact in contacts} - set(boxes.track_id.tolist())
-        ):
-            inputs.notes.append(
+        closing = {"closing": closing_errors(rows, boxes, drive.vans())}
+        missing = sorted({contact.object_id for contact in contacts} - set(boxes.track_id.tolist()))
+        if missing:
+            drive.notes.append(
                 f"{counted(len(missing), 'object')} with a contact, such as {missing[0]}, "
                 f"{'has' if len(missing) == 1 else 'have'} no labelled boxes; check that the "
                 "labels belong to this drive."
             )
-    counted_contacts = inputs.seen(
-        contacts, {i for event, i in zip(events, objects, strict=True) if is_warning(event)}
-    )
-    scores = contact_scores(
-        events, objects, counted_contacts, hours=hours, min_lead_s=settings.min_lead_s
-    )
-    closing = (
-        {}
-        if rows is None or boxes is None
-        else {"closing": closing_errors(rows, boxes, inputs.vans())}
-    )
-    return {
-        **scores,
-        **inputs.facts(settings, events, protocol),
-        "min_lead_s": settings.min_lead_s,
-        **closing,
-    }
+    warned = {i for event, i in zip(events, objects, strict=True) if is_warning(event)}
+    seen = drive.seen(contacts, warned)
+    scores = contact_scores(events, objects, seen, hours=hours, min_lead_s=settings.min_lead_s)
+    return {**scores, "protocol": protocol, "min_lead_s": settings.min_lead_s, **closing}
 
 
-def _is_file_of_events(path: Path) -> bool:
-    """Whether a file of ground truth contains labelled events instead of contacts."""
+def _kind_of_truth(path: Path) -> str:
+    """What a file of ground truth contains: contacts, events or occurrences."""
     if path.suffix.lower() == ".parquet":
-        return True
-    contacts, events = ",".join(CONTACT_COLUMNS), ",".join(NEEDED_COLUMNS)
-    expected = f"contacts with the columns {contacts}, or events with the columns {events}"
-    names = [name.strip().lower() for name in first_line(path, EventFileError, expected).split(",")]
-    if "contact_s" in names or "object_id" in names:
-        return False
-    if "kind" not in names:
-        raise EventFileError(f"{path}: expected {expected}, found neither.")
-    return True
+        return "events"
+    layouts = (
+        ("contacts", CONTACT_COLUMNS),
+        ("what happens", OCCURRENCE_COLUMNS),
+        ("events", NEEDED_COLUMNS),
+    )
+    expected = ", or ".join(f"{what} with the columns {','.join(names)}" for what, names in layouts)
+    line = first_line(path, EventFileError, expected).lower()
+    names = {name.strip() for name in re.split("[,;\t]", line)}
+    if names & {"contact_s", "object_id"}:
+        return "contacts"
+    if "kind" in names:
+        return "events"
+    if names & {"first_visible_s", "nearest_s", "conflict_s", "warning"}:
+        return "occurrences"
+    raise EventFileError(f"{path}: expected {expected}, found none of them.")
 
 
 @dataclass(slots=True)
-class _Inputs:
-    """Files in the folder of the events and in the folder of their ground truth (`drive`)."""
+class _Drive:
+    """Files in the folder of the events and in the folder of their ground truth (`labels`), and the
+    evaluated part of the drive.
+    """
 
     folder: Path
-    drive: Path
+    labels: Path
     notes: list[str] = field(default_factory=list)  # for the user
     starts_s: float = 0.0  # time of the first processed frame
     # end of the processed part of the video, from summary.json; inf = unknown
     ends_s: float = math.inf
     # time after which there are no events: `ends_s`, or that of the last row
     last_s: float = math.inf
+    hours: float | None = None  # duration of the evaluated part; None = unknown
 
     def rows(self, path: Path | None) -> Rows | None:
         """Rows of the run; None without a file, or if the file in the folder of the events cannot
@@ -165,7 +238,7 @@ class _Inputs:
             return None
 
     def boxes(self, path: Path | None) -> Truth | None:
-        beside = [self.drive / name for name in BOX_FILES]
+        beside = [self.labels / name for name in BOX_FILES]
         chosen = path or next(
             (file for file in beside if file.is_file() and not is_blank(file, "labels")), None
         )
@@ -173,13 +246,13 @@ class _Inputs:
 
     def vans(self) -> set[int]:
         """Numbers of the vans of a simulated drive, which truth.csv lists as cars."""
-        file = self.drive / "truth.txt"
+        file = self.labels / "truth.txt"
         if not file.is_file() or is_blank(file, "labels"):
             return set()
         labels = read_boxes(file)
         return set(labels.track_id[labels.kitti_type == "van"].tolist())
 
-    def hours(self, rows: Rows | None) -> float | None:
+    def processed_hours(self, rows: Rows | None) -> float | None:
         """Duration of the processed video from summary.json, else from the rows of the tracks; None
         = unknown.
         """
@@ -222,23 +295,46 @@ class _Inputs:
             )
         return chosen
 
-    def facts(
-        self, settings: EventEvaluationSettings, events: Sequence[Event], protocol: str
-    ) -> dict[str, Any]:
-        """Files, protocol and notes; a note on events after the end of the video is added."""
+    def cut(
+        self,
+        events: Sequence[Event],
+        until_s: float | None,
+        occurrences: Sequence[Occurrence],
+    ) -> list[Event]:
+        """The events of the part that ends at a given time, None = at the first cut of the
+        recording, if it is cut.
+        """
+        reason = "--until"
+        if until_s is None:
+            until_s = end_of(occurrences)
+            reason = "a row without a class; --until gives another end"
+        if until_s >= self.last_s or math.isinf(until_s):
+            return list(events)
+        before = [event for event in events if known_from_s(event) < until_s]
+        self.notes.append(
+            f"The evaluated part ends at {until_s:.2f} s ({reason}); "
+            f"{counted(len(events) - len(before), 'later event')} not evaluated."
+        )
+        if self.hours is not None and math.isfinite(self.last_s):
+            self.hours -= (self.last_s - until_s) / 3600
+        self.ends_s = self.last_s = until_s
+        return before
+
+    def note_on_later(self, events: Sequence[Event]) -> None:
+        """A note on events after the end of the video."""
         n_beyond = sum(event.start_s > self.last_s + 1.0 for event in events)
         if n_beyond:
             self.notes.append(
                 f"{n_beyond} of {len(events)} events start after the end of the video at "
                 f"{self.last_s:.1f} s; check that the events belong to this video."
             )
-        files = {"events": str(settings.events), "truth": str(settings.truth)}
-        return {**files, "protocol": protocol, "notes": self.notes}
 
-    def last_hours(self, events: Sequence[Event], times_s: Sequence[float]) -> float | None:
-        """Time of the last event or contact as the smallest possible duration, with a note; None if
-        there is none.
+    def known_hours(self, events: Sequence[Event], times_s: Sequence[float]) -> float | None:
+        """The duration; where it is unknown, the time of the last event or contact as the smallest
+        possible one, with a note. None if there is none.
         """
+        if self.hours is not None:
+            return self.hours
         last_s = max([*(event.end_s for event in events), *times_s], default=0.0)
         if last_s <= 0:
             self.notes.append(

@@ -41,8 +41,9 @@ from track_range.detection.formats.video_labels.csv_labels import has_label_colu
 from track_range.evaluation.events.settings import MIN_LEAD_S
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import quoted
+from track_range.foundation.poisson import rate_interval
 from track_range.ranging.truth.truth import Truth
-from track_range.results.events.event import EVENT_KINDS, WARNING_KINDS, Event
+from track_range.results.events.event import EVENT_KINDS, WARNING_KINDS, Event, EventKind
 from track_range.results.events.files import EventFileError
 from track_range.results.rows.rows import Rows
 
@@ -97,6 +98,7 @@ Scores = dict[str, Any]
 TOLERANCE_S = 1.0
 
 _COUNTS = ("hits", "misses", "false_alarms")
+_FURTHER_COUNTS = ("late", "tolerated", "repeated", "ambiguous")  # of `occurrences`
 _NO_MATCH = 1e9  # cost of a pair that does not match
 _GROUPS = {  # group by road class; the others are separate
     **dict.fromkeys(("bicycle", "motorcycle"), "two-wheeler"),
@@ -107,6 +109,11 @@ _GROUPS = {  # group by road class; the others are separate
 def is_warning(event: Event) -> bool:
     """Whether an event is a collision warning."""
     return event.kind in WARNING_KINDS and math.isfinite(event.warning_s)
+
+
+def known_from_s(event: Event) -> float:
+    """Time from which a driver knows of an event: its warning, or its start without one."""
+    return event.warning_s if math.isfinite(event.warning_s) else event.start_s
 
 
 def contact_scores(
@@ -140,14 +147,14 @@ def contact_scores(
     false_warnings = [
         {
             "kind": event.kind,
-            "warning_s": _rounded(event.warning_s),
+            "warning_s": rounded(event.warning_s),
             "track_id": event.track_id,
             "class": event.class_name,
         }
         for event in false_alarms
     ]
     return {
-        **_sections(results, WARNING_KINDS, hours),
+        **sections_of(results, WARNING_KINDS, hours),
         "contacts": rows,
         "false_warnings": false_warnings,
     }
@@ -169,16 +176,20 @@ def _contact_row(contact: Contact, warnings: Sequence[Event], min_lead_s: float)
     no warning).
     """
     first = min(warnings, key=lambda event: event.warning_s, default=None)
-    lead_s = None if first is None else _rounded(contact.contact_s - first.warning_s)
-    expected = "pedestrian_on_path" if contact.class_name == "person" else "forward_collision"
+    lead_s = None if first is None else rounded(contact.contact_s - first.warning_s)
     return {
         "object_id": contact.object_id,
         "class": contact.class_name,
         "contact_s": contact.contact_s,
         "is_hit": lead_s is not None and lead_s >= min_lead_s,
-        "kind": expected if first is None else first.kind,
+        "kind": expected_kind(contact.class_name) if first is None else first.kind,
         "lead_s": lead_s,
     }
+
+
+def expected_kind(class_name: str) -> EventKind:
+    """Kind of a warning that an object of a class should cause."""
+    return "pedestrian_on_path" if class_name == "person" else "forward_collision"
 
 
 def event_scores(
@@ -195,8 +206,7 @@ def event_scores(
     for index, label in enumerate(labelled):
         if index in matched:
             event = events[matched[index]]
-            known_s = event.warning_s if math.isfinite(event.warning_s) else event.start_s
-            results.append((label.kind, "hits", _rounded(label.peak_s - known_s)))
+            results.append((label.kind, "hits", rounded(label.peak_s - known_from_s(event))))
         else:
             results.append((label.kind, "misses", None))
     used = set(matched.values())
@@ -205,7 +215,7 @@ def event_scores(
         for index, event in enumerate(events)
         if index not in used
     ]
-    return _sections(results, EVENT_KINDS, hours)
+    return sections_of(results, EVENT_KINDS, hours)
 
 
 def _cost(event: Event, label: Event) -> float:
@@ -232,7 +242,7 @@ def are_same_class(one: str, other: str) -> bool:
     return len(groups) < 2
 
 
-def _sections(
+def sections_of(
     results: Iterable[tuple[str, str, float | None]], kinds: Sequence[str], hours: float | None
 ) -> Scores:
     """Sections of the results; each result has a kind, the name of a count, and the lead of a
@@ -243,18 +253,54 @@ def _sections(
     def section(chosen: Sequence[tuple[str, str, float | None]]) -> dict[str, Any]:
         counts = {name: sum(count == name for _, count, _ in chosen) for name in _COUNTS}
         leads_s = [lead_s for _, count, lead_s in chosen if count == "hits" and lead_s is not None]
-        return {
-            **counts,
-            "hours": None if hours is None else round(hours, 6),
-            "false_alarms_per_hour": round(counts["false_alarms"] / hours, 4) if hours else None,
-            "lead_s": leads_s,
-        }
+        return {**counts, **rates_of(counts["false_alarms"], hours), "lead_s": leads_s}
 
     by_kind = {kind: section([result for result in results if result[0] == kind]) for kind in kinds}
     return {"overall": section(results), "by_kind": by_kind}
 
 
-def _rounded(value: float) -> float:
+def rates_of(n_false_alarms: int, hours: float | None) -> dict[str, Any]:
+    """Hours, and the false alarms per hour with the 95 % interval of their rate; None = unknown."""
+    if not hours:
+        return {
+            "hours": hours,
+            "false_alarms_per_hour": None,
+            "false_alarms_per_hour_95": None,
+        }
+    interval = rate_interval(n_false_alarms, hours)
+    return {
+        "hours": round(hours, 6),
+        "false_alarms_per_hour": round(n_false_alarms / hours, 4),
+        "false_alarms_per_hour_95": [round(limit, 4) for limit in interval],
+    }
+
+
+def pooled(drives: Sequence[Scores]) -> Scores:
+    """Sections of several drives together: sums, and the leads of all; the hours are unknown if
+    those of a drive are.
+    """
+
+    def section(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
+        sums = {
+            name: sum(part.get(name, 0) for part in parts)
+            for name in (*_COUNTS, *_FURTHER_COUNTS)
+            if any(name in part for part in parts)
+        }
+        hours = [part["hours"] for part in parts]
+        total = None if None in hours else sum(hours)
+        leads_s = [lead_s for part in parts for lead_s in part["lead_s"]]
+        return {**sums, **rates_of(sums["false_alarms"], total), "lead_s": leads_s}
+
+    kinds = dict.fromkeys(kind for drive in drives for kind in drive["by_kind"])
+    by_kind = {
+        kind: section([drive["by_kind"][kind] for drive in drives if kind in drive["by_kind"]])
+        for kind in kinds
+    }
+    return {"overall": section([drive["overall"] for drive in drives]), "by_kind": by_kind}
+
+
+def rounded(value: float) -> float:
+    """A value with the four decimals of the JSON files."""
     return round(float(value), 4)
 
 

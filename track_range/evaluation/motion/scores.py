@@ -18,6 +18,7 @@ import numpy as np
 from track_range.evaluation.motion.labelled_motion import LabelledMotion
 from track_range.evaluation.motion.measured_motion import MeasuredMotion
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.poisson import rate_interval
 from track_range.ranging.truth.errors import fraction, within_sigmas
 
 BANDS: Mapping[str, tuple[float, float]] = {"10-40": (10.0, 40.0), "40-80": (40.0, 80.0)}  # m
@@ -108,6 +109,7 @@ def warning_figures(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str
         "hours": round(hours, 4),
         "false_alarms": len(first),
         "per_hour": round(len(first) / hours, 2) if hours else None,
+        "per_hour_95": np.round(rate_interval(len(first), hours), 2).tolist() if hours else None,
         "in_alarm_s": round(float((truth.boxes.time_s[last] - truth.boxes.time_s[first]).sum()), 2),
         "by_cause": dict(sorted(causes.items())),
     }

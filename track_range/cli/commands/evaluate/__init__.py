@@ -57,12 +57,16 @@ app = lazy_app(
         "events": Lazy(
             "track_range.cli.commands.evaluate.events",
             "Hits, misses, false alarms and lead times of collision warnings.",
-            "The ground truth is contacts or labelled events. A contact is a hit if its object "
-            "caused a warning at least 0.8 s before the contact.",
+            "The ground truth is contacts, what happens in the recording, or labelled events. A "
+            "contact is a hit if its object caused a warning at least 0.8 s before the contact; an "
+            "occurrence, if it caused one from its first sight to the conflict.",
             (
                 "track-range evaluate events --events drive-1/events.csv \\\n      --truth "
                 "drive/contacts.csv",
                 "track-range evaluate events --events drive-1 --truth labels.csv",
+                "track-range evaluate events --events drive-1 --truth 1_events.csv \\\n"
+                "      --events drive-2 --truth 2_events.csv",
+                "track-range evaluate events --events drive-1 --events drive-2 --truth none",
             ),
         ),
     }

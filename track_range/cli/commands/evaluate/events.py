@@ -1,15 +1,18 @@
-"""`track-range evaluate events`: warnings against contacts, or events against labelled events."""
+"""`track-range evaluate events`: warnings against contacts or what happens, or events against
+labelled events.
+"""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from statistics import median
 from typing import Any
 
 from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files
-from track_range.cli.shared.console import console, print_grid, print_notes
+from track_range.cli.shared.console import console, print_grid, print_line, print_notes
 from track_range.cli.shared.parameters import command
 from track_range.evaluation.events.evaluate import evaluate_events
 from track_range.evaluation.events.settings import EventEvaluationSettings
 from track_range.foundation.files.output_files import write_json
+from track_range.results.events.event import WARNING_KINDS
 from track_range.views.tables import (
     NOTHING,
     Cell,
@@ -38,8 +41,12 @@ def _events(options: EventsOptions) -> None:
     check_result_files(options)
     figures = evaluate_events(options)
     print_notes(console, figures["notes"])
-    grids = (_score_grid(figures), _contact_grid(figures), _closing_grid(figures))
-    print_grid(console, *(grid for grid in grids if grid.rows))
+    print_grid(console, _score_grid(figures))
+    for drive in figures.get("drives", [figures]):
+        grids = [grid for grid in _drive_grids(drive) if grid.rows]
+        if drive is not figures and grids:
+            print_line(console, drive["events"])
+        print_grid(console, *grids)
     write_json(options.json_file, figures)
 
 
@@ -54,6 +61,8 @@ def _score_grid(figures: Mapping[str, Any]) -> Grid:
     columns = [
         *(Column(name.replace("_", " "), [row[name] for row in rows], "{:.0f}") for name in counts),
         Column("per hour", [row["false_alarms_per_hour"] for row in rows], "{:.2f}"),
+        Column("95 % from", [_limit(row, 0) for row in rows], "{:.2f}"),
+        Column("to", [_limit(row, 1) for row in rows], "{:.2f}"),
         Column("median lead s", [median(leads) if leads else None for leads in leads_s], "{:.2f}"),
         Column("shortest s", [min(leads, default=None) for leads in leads_s], "{:.2f}"),
     ]
@@ -61,28 +70,53 @@ def _score_grid(figures: Mapping[str, Any]) -> Grid:
     duration = (
         "" if hours is None else f", {hours:.2f} h" if hours >= 1 else f", {3600 * hours:.0f} s"
     )
-    return grid_of(
-        f"Warnings{duration}" if "contacts" in figures else f"Events{duration}",
-        "",
-        list(sections),
-        columns,
-    )
+    title = "Warnings" if list(figures["by_kind"]) == list(WARNING_KINDS) else "Events"
+    return grid_of(f"{title}{duration}", "", list(sections), columns)
 
 
-def _contact_grid(figures: Mapping[str, Any]) -> Grid:
-    lines = []
-    for row in figures.get("contacts", []):
-        lead = NOTHING if row["lead_s"] is None else f"{row['lead_s']:.2f}"
-        outcome = "hit" if row["is_hit"] else "miss"
-        texts = (str(row["object_id"]), row["class"], f"{row['contact_s']:.2f}", outcome, lead)
-        lines.append(tuple(map(Cell, texts)))
-    return Grid("Contacts", ("object", "class", "at s", "", "lead s"), tuple(lines))
+def _limit(section: Mapping[str, Any], end: int) -> float | None:
+    interval = section["false_alarms_per_hour_95"]
+    return None if interval is None else interval[end]
 
 
-def _closing_grid(figures: Mapping[str, Any]) -> Grid:
+def _drive_grids(figures: Mapping[str, Any]) -> Iterator[Grid]:
+    contacts = [
+        (row["object_id"], row["class"], row["contact_s"], _HIT[row["is_hit"]], row["lead_s"])
+        for row in figures.get("contacts", [])
+    ]
+    yield _grid("Contacts", ("object", "class", "at s", "", "lead s"), contacts)
+    happens = [
+        (
+            *(number, row["class"], row["first_visible_s"], row["conflict_s"], row["nearest_s"]),
+            *(row["warning"], row["outcome"], *(row["warnings_s"][:1] or [None]), row["lead_s"]),
+        )
+        for number, row in enumerate(figures.get("occurrences", []), 1)
+    ]
+    happens += [
+        (*(None, row["class"], None, None, None), *(None, row["outcome"], row["warning_s"], None))
+        for row in figures.get("warnings", [])
+        if row["row"] is None
+    ]
+    moments = ("seen s", "conflict s", "nearest s")
+    columns = ("row", "class", *moments, "warning is", "outcome", "warned s", "lead s")
+    yield _grid("What happens, and warnings on nothing of it", columns, happens)
     sections = figures.get("closing", {})
-    columns = columns_of(sections.values(), _CLOSING_COLUMNS)
-    return grid_of("Error of the closing speed at 10-40 m", "class", list(sections), columns)
+    closing = columns_of(sections.values(), _CLOSING_COLUMNS)
+    yield grid_of("Error of the closing speed at 10-40 m", "class", list(sections), closing)
+
+
+_HIT = {True: "hit", False: "miss"}
+
+
+def _grid(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> Grid:
+    """A grid of values; seconds have two decimals, and None or "" is shown as missing."""
+    texts = [
+        [f"{value:.2f}" if isinstance(value, float) else str(value) for value in row]
+        for row in rows
+    ]
+    missing = ("None", "")
+    lines = [tuple(Cell(NOTHING if text in missing else text) for text in row) for row in texts]
+    return Grid(title, tuple(columns), tuple(lines))
 
 
 app = command(EventsOptions, _events)

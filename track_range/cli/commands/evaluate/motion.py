@@ -67,9 +67,12 @@ def _grids(figures: Mapping[str, Any]) -> Iterator[tables.Grid]:
             for name, value in score.items()
         ]
         yield tables.grid_of("TuSimple's velocity score", "", ["all"], columns)
+    interval = figures["warnings"]["per_hour_95"] or (None, None)
+    limits = zip(("95 % from", "to"), interval, strict=True)
     causes = figures["warnings"]["by_cause"]
     counts = [tables.Column(name, [count], "{:.0f}") for name, count in causes.items()]
-    columns = [*tables.columns_of([figures["warnings"]], _WARNINGS), *counts]
+    rates = [tables.Column(name, [limit], "{:.1f}") for name, limit in limits]
+    columns = [*tables.columns_of([figures["warnings"]], _WARNINGS), *rates, *counts]
     yield tables.grid_of("Warnings", "", ["all"], columns)
 
 
