@@ -75,7 +75,7 @@ class Event:
     closing_mps: float = field(metadata=_SPEED)  # largest closing speed
     ego_mps: float = field(metadata=_SPEED)  # speed of the ego vehicle at the peak
     probability: float = field(metadata=_PROBABILITY)  # largest probability of contact, 0..1
-    reason: str  # what happened in one sentence
+    reason: str  # what was measured and predicted, in words
     headway_s: float = field(metadata=_TIME)  # smallest headway, gap / ego speed
     # 1 = what the distances follow from contradicted the drive at the peak; 0 = not
     scale_in_doubt: int = field(default=0, metadata=_FLAG)
@@ -95,6 +95,7 @@ class Event:
     peak_ttc_s: float = field(default=math.nan, metadata=_TIME)
     peak_headway_s: float = field(default=math.nan, metadata=_TIME)
     peak_probability: float = field(default=math.nan, metadata=_PROBABILITY)
+    peak_distance_sigma_m: float = field(default=math.nan, metadata=_DISTANCE)
 
 
 EVENT_COLUMNS = tuple("class" if one.name == "class_name" else one.name for one in fields(Event))
@@ -120,9 +121,9 @@ class EventSettings:
     hard_approach_mps2: float = 4.0
     # shortest hard approach or near miss; shorter ones are errors of single frames
     min_critical_s: float = 0.2
-    near_miss_ttc_s: float = 1.0  # time to collision below which an avoided contact is a near miss
+    near_miss_ttc_s: float = 1.0  # time to collision below which a predicted contact is a near miss
     near_miss_probability: float = 0.5  # smallest probability of contact of a near miss
-    # smallest gap that is left after a near miss; a smaller one may be a contact
+    # smallest gap by the last measurement of a near miss on the path; a smaller one may be a contact
     near_miss_gap_m: float = 0.5
 
 

@@ -19,6 +19,7 @@ from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.track_state import TrackState
 from track_range.pipeline.frame_result import FrameResult
+from track_range.ranging.registry import methods
 from track_range.ranging.warning.safety import (
     HALF_WIDTH_M,
     TTC_LIMIT_S,
@@ -32,7 +33,10 @@ from track_range.results.events.event import WARNING_KINDS, Event, EventKind, Ev
 # largest difference of two tracks of one object: m, plus a fraction
 _NEAR_M, _NEAR_FRACTION = 2.0, 0.15
 _NEAR_ACROSS_M = 1.5  # largest lateral difference between two tracks of one object, m
-_SITUATION = ("distance_m", "sigma_m", "closing_mps", "probability", "apart_m")
+_SITUATION = (
+    *("distance_m", "sigma_m", "closing_mps", "closing_sigma_mps"),
+    *("probability", "apart_m"),
+)
 _MEASURES = ("gap_m", "ttc_front_s", "headway_s", "drac_mps2", "mdrac_mps2")
 _SMALLEST = ("gap_m", "ttc_front_s", "headway_s")
 _LARGEST = ("closing_mps", "probability", "drac_mps2", "mdrac_mps2")
@@ -48,6 +52,7 @@ _MIN_ALONG_MPS = 2.0  # of a vehicle that moves in the direction of the ego vehi
 _MAX_CUT_IN_M = 40.0  # farther away, the lateral position is too uncertain
 _MIN_CLOSING_MPS = 2.0  # of a hard approach; below, a touch at walking speed
 _MAX_SPEED_MPS = 70.0  # of a road user; above, the track is wrong
+_CLEAR_SIGMAS = 2.0  # a gap of fewer standard deviations does not exclude a contact
 # of a hard approach, more than tyres allow; above, it was a contact, or wrong
 _MAX_BRAKING_MPS2 = 15.0
 
@@ -62,6 +67,7 @@ class Situation:
     distance_m: FloatArray  # filtered, else measured
     sigma_m: FloatArray
     closing_mps: FloatArray
+    closing_sigma_mps: FloatArray
     offset_m: FloatArray  # lateral, from the ego path
     # between the edges of object and ego path, negative = the object is in the path
     apart_m: FloatArray
@@ -93,7 +99,14 @@ class Situation:
             )
         apart = apart_m(offset_m, class_id)
         return cls(
-            distance_m, sigma_m, result.closing_mps, offset_m, apart, warnings.probability, safety
+            distance_m=distance_m,
+            sigma_m=sigma_m,
+            closing_mps=result.closing_mps,
+            closing_sigma_mps=result.closing_sigma_mps,
+            offset_m=offset_m,
+            apart_m=apart,
+            probability=warnings.probability,
+            safety=safety,
         )
 
     def values(self, row: int, names: Iterable[str]) -> dict[str, float]:
@@ -301,9 +314,10 @@ class EventFinder:
                 or alarm.start_s > event.last_s
                 for alarm in alarms
             )
-        # A near miss was without contact, from where its object was last seen until the event was
-        # over, if the object was beside the ego path, or if the gap that was left, closed at the
-        # last known speed, is large enough.
+        # Whether there was a contact is not measured: a box that covers the front of the ego
+        # vehicle looks alike. A near miss is reported where the last measurement speaks against
+        # one: the object was beside the ego path, or the gap that was left, closed at the last
+        # known speed until the event was over, is larger than `near_miss_gap_m`.
         seen = event.last_seen
         unseen_s = event.last_s + settings.max_gap_s - seen["time_s"]
         speeds_mps = (seen["closing_mps"], event.extremes["closing_mps"])
@@ -362,6 +376,7 @@ class EventFinder:
                 "time_s": time_s,
                 "frame": result.index,
                 "scale_in_doubt": in_doubt,
+                "has_pair": float(_has_pair(result)),
             }
 
     def _same(
@@ -404,6 +419,11 @@ def _follow(event: _Open, result: FrameResult, now: Situation) -> None:
         }
 
 
+def _has_pair(result: FrameResult) -> bool:
+    """Whether distances of a frame may be from two cameras."""
+    return any("right_image" in one.needs for one in methods() if one.name in result.ranges)
+
+
 def _event(event: _Open) -> Event:
     extremes, peak = event.extremes, event.peak
     return Event(
@@ -432,50 +452,76 @@ def _event(event: _Open) -> Event:
             for name in ("distance_m", "closing_mps", "headway_s", "probability")
         },
         peak_ttc_s=peak["ttc_front_s"],
+        peak_distance_sigma_m=peak["sigma_m"],
     )
 
 
 def _reason(event: _Open) -> str:
+    """What was measured, with one standard deviation, and what follows from it as a prediction."""
     class_name, first, peak = ROAD_CLASSES[event.peak_class], event.first, event.peak
     name = class_name[:1].upper() + class_name[1:]
     if event.kind in ("forward_collision", "pedestrian_on_path"):
-        where = (
-            "ahead"
-            if event.kind == "forward_collision"
-            else "on the path"
-            if first["apart_m"] < 0
-            else "near the path"
-        )
-        when = (
-            f": contact in {first['ttc_front_s']:.1f} s without braking"
-            if math.isfinite(first["ttc_front_s"])
-            else ""
-        )
-        return f"{name} {where} at {first['distance_m']:.0f} m{_closing(first)}{when}."
+        where = "ahead"
+        if event.kind == "pedestrian_on_path":
+            where = "on the path" if first["apart_m"] < 0 else "near the path"
+        when = ""
+        if math.isfinite(first["ttc_front_s"]):
+            when = f": contact in {first['ttc_front_s']:.1f} s without braking{_predicted(first)}"
+        return f"{name} {where} at {_metres(first)}{_closing(first)}{when}."
     if event.kind == "cut_in":
-        headway = (
-            f", at a headway of {peak['headway_s']:.1f} s"
-            if math.isfinite(peak["headway_s"])
-            else ""
-        )
-        return f"{name} cut in {peak['distance_m']:.0f} m ahead{headway}{_closing(peak)}."
+        headway = ""
+        if math.isfinite(peak["headway_s"]):
+            headway = f", at a headway of {peak['headway_s']:.1f} s"
+        return f"{name} cut in {_metres(peak)} ahead{headway}{_closing(peak)}."
     if event.kind == "close_following":
         return (
             f"Headway down to {peak['headway_s']:.1f} s behind a {class_name} at "
-            f"{3.6 * peak['ego_mps']:.0f} km/h for {event.last_s - event.start_s:.0f} s."
+            f"{3.6 * peak['ego_mps']:.0f} km/h, {_metres(peak)} ahead, for "
+            f"{event.last_s - event.start_s:.0f} s."
         )
     if event.kind == "hard_approach":
         needed = f"needed braking at {peak['drac_mps2']:.1f} m/s²"
-        return f"{name} ahead at {peak['distance_m']:.0f} m{_closing(peak)}: {needed}."
-    return (
-        f"{name} at {peak['distance_m']:.0f} m: contact was {peak['ttc_front_s']:.1f} s away and "
-        "did not happen."
+        return f"{name} ahead at {_metres(peak)}{_closing(peak)}: {needed}{_predicted(peak)}."
+    return f"{name} at {_metres(peak)}{_closing(peak)}: {_near(event)}"
+
+
+def _near(event: _Open) -> str:
+    """How near a near miss was, by which cameras, and whether a contact is within its errors."""
+    extremes = event.extremes
+    gap_m, sigma_m = extremes["gap_m"], extremes["sigma_m"]
+    smallest = _metres({"distance_m": gap_m, "sigma_m": sigma_m})
+    cameras = "two cameras" if event.peak["has_pair"] else "one camera"
+    sentence = (
+        f"smallest gap to the front {smallest}, smallest time to contact "
+        f"{extremes['ttc_front_s']:.1f} s{_predicted(extremes)}; by {cameras}."
     )
+    if gap_m < _CLEAR_SIGMAS * sigma_m:
+        sentence += " The gap is within two sigma of zero, so that a contact is not excluded."
+    return sentence
+
+
+def _metres(values: dict[str, float]) -> str:
+    """A distance with its standard deviation, which gives the decimals: "31 ± 2 m", "3.1 ± 0.5 m"."""
+    distance_m, sigma_m = values["distance_m"], values["sigma_m"]
+    decimals = 0 if sigma_m >= 1 or (math.isnan(sigma_m) and distance_m >= 10) else 1
+    sigma = f" ± {max(sigma_m, 0.1):.{decimals}f}" if math.isfinite(sigma_m) else ""
+    return f"{distance_m:.{decimals}f}{sigma} m"
 
 
 def _closing(values: dict[str, float]) -> str:
-    closing_mps = values["closing_mps"]
-    return f", closing at {closing_mps:.1f} m/s" if closing_mps > 0.5 else ""  # False for NaN
+    closing_mps, sigma_mps = values["closing_mps"], values["closing_sigma_mps"]
+    if not closing_mps > 0.5:  # also NaN
+        return ""
+    sigma = f" ± {max(sigma_mps, 0.1):.1f}" if math.isfinite(sigma_mps) else ""
+    return f", closing at {closing_mps:.1f}{sigma} m/s"
+
+
+def _predicted(values: dict[str, float]) -> str:
+    probability_pct = 100 * values["probability"]
+    if math.isnan(probability_pct):
+        return ""
+    figure = "over 99" if probability_pct > 99 else f"{probability_pct:.0f}"  # none is certain
+    return f" (predicted probability {figure} %)"
 
 
 def events_of(

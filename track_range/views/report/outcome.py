@@ -96,7 +96,8 @@ def event_lines(events: Sequence[Event]) -> Iterator[str]:
     events.
     """
     headline = event_headline(events)
-    yield f"{headline['figure']}: {headline['words']}."
+    between = ": " if events else " "
+    yield f"{headline['figure']}{between}{headline['words']}."
     listed = sorted(sorted(events, key=severity_key)[:MOST_EVENTS], key=lambda event: event.start_s)
     for event in listed:
         yield (

@@ -25,6 +25,7 @@ import numpy.typing as npt
 from track_range.foundation.files.input_files import real_path
 from track_range.foundation.files.output_files import write_text
 from track_range.pipeline.colours import colour_of_each
+from track_range.ranging.warning.settings import WarningSettings
 from track_range.results.approaches import closest_approaches
 from track_range.results.events.event import Event, is_clip_name
 from track_range.results.formats.poses_file import Poses
@@ -51,7 +52,8 @@ from track_range.views.tables import accuracy_grids, mot_grid, speed_grids
 
 _SCRIPTS = (  # in the order of their execution
     *("elements", "theme_and_tables", "drawing", "tracks", "birds_eye"),
-    *("timeline", "playback", "drive_map", "known_distances", "run_charts", "start"),
+    *("timeline", "event_probability", "playback", "drive_map", "known_distances"),
+    *("run_charts", "start"),
 )
 
 
@@ -217,8 +219,21 @@ def run_content(
         "events": event_records(events),
         "camera": view,
         "known_distances": uncalibrated_video(summary),
+        "alarm": _alarm_thresholds(summary),
         "has_warnings": bool(np.isfinite(rows["contact_probability"]).any()),
     }
+
+
+def _alarm_thresholds(summary: Mapping[str, Any]) -> dict[str, float]:
+    """Probabilities of contact from which an alarm starts and below which it ends, of the run."""
+    given = (summary.get("settings") or {}).get("warning_options") or {}
+    names = {"on": "on_probability", "person": "person_probability", "off": "off_probability"}
+    usual = WarningSettings()
+    thresholds = {}
+    for key, name in names.items():
+        chosen = tables.figure(given, name)
+        thresholds[key] = getattr(usual, name) if chosen is None else chosen
+    return thresholds
 
 
 def embedded(content: Mapping[str, Any]) -> str:

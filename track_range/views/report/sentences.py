@@ -84,7 +84,9 @@ def event_headline(events: Sequence[Event]) -> dict[str, Any]:
     """The headline of the warnings or, without a warning, of the events."""
     if not events:
         return _headline(
-            "No event", "no collision warning, close following, hard approach, cut-in or near miss"
+            "No event",
+            "found among the road users that were measured: no collision warning, close following, "
+            "hard approach, cut-in or near miss",
         )
     warnings = sorted(
         (event for event in events if np.isfinite(event.warning_s)),
@@ -141,10 +143,11 @@ def _collision_headline(rows: Rows, users: Sequence[Mapping[str, Any]]) -> dict[
     is_user = np.isin(rows["track_id"], [user["track_id"] for user in users])
     probability = np.where(is_user, rows["contact_probability"], np.nan)
     row = int(np.nanargmax(probability)) if np.isfinite(probability).any() else -1
-    if row < 0 or probability[row] < _MIN_PROBABILITY:
-        return _headline(
-            "No collision course", "no road user approached the path of the ego vehicle"
-        )
+    if row < 0:
+        return _headline("Not known", "no probability of contact could be estimated")
+    if probability[row] < _MIN_PROBABILITY:
+        limit = f"Below {100 * _MIN_PROBABILITY:.0f} %"
+        return _headline(limit, "probability of contact of every road user where it was known")
     time_s, name = float(rows["time_s"][row]), f"{rows['class'][row]} {rows['track_id'][row]}"
     words = f"largest probability of contact: {name} at {time_words(time_s)}"
     return _headline(f"{100 * probability[row]:.0f} %", words, time_s)

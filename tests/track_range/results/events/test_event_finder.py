@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -94,7 +95,7 @@ def test_alarm_is_an_event(class_id: int, kind: str) -> None:
     assert event.min_ttc_s == pytest.approx(1.1)
     assert (event.closing_mps, event.ego_mps, event.probability) == (10.0, 10.0, 0.9)
     assert "contact in 2.5 s" in event.reason
-    assert "closing at 10.0 m/s" in event.reason
+    assert "closing at 10.0 ± 0.1 m/s" in event.reason
 
 
 def test_measures_of_an_event() -> None:
@@ -217,7 +218,7 @@ def test_cut_in_without_alarm() -> None:
     events = events_of(cut_in(active=False))
     assert kinds(events) == ["cut_in", "close_following"]
     assert math.isnan(events[0].warning_s)
-    assert "Car cut in 14 m ahead, at a headway of 0.6 s" in events[0].reason
+    assert "Car cut in 14 ± 1 m ahead, at a headway of 0.6 s" in events[0].reason
 
 
 def test_alarm_during_a_cut_in() -> None:
@@ -241,8 +242,51 @@ def test_hard_approach_and_near_miss() -> None:
     assert sorted(kinds(events)) == ["hard_approach", "near_miss"]
     assert all(math.isnan(event.warning_s) for event in events)
     near_miss = events[kinds(events).index("near_miss")]
-    assert "did not happen" in near_miss.reason
+    assert near_miss.reason == (
+        "Car at 3.8 ± 0.4 m, closing at 4.0 ± 0.1 m/s: smallest gap to the front 1.3 ± 0.3 m, "
+        "smallest time to contact 0.6 s (predicted probability 60 %); by one camera."
+    )
     assert "needed braking" in events[kinds(events).index("hard_approach")].reason
+
+
+@pytest.mark.parametrize(("sigma", "is_excluded"), [(0.1, True), (0.3, False)])
+def test_a_near_miss_says_whether_a_contact_is_within_its_errors(
+    sigma: float, is_excluded: bool
+) -> None:
+    """A car that stops 1 m ahead of the front, with 10 and 30 % of the distance of 2.5 m as sigma."""
+
+    def results() -> Iterable[FrameResult]:
+        for i in range(40):
+            is_near = i < 14
+            seen = Seen(
+                distance_m=max(2.5, 9.0 - 0.5 * i),
+                closing_mps=5.0 if is_near else 0.0,
+                probability=0.999 if is_near else 0.0,
+            )
+            result = frame(i, seen)
+            distance_m = result.ranges["fused_kf"].distance_m
+            ranges = {"fused_kf": Ranges(result.tracks.track_id, distance_m, sigma * distance_m)}
+            yield changed(result, ranges=ranges)
+
+    reasons = [event.reason for event in events_of(results()) if event.kind == "near_miss"]
+    assert len(reasons) == 1
+    assert f"smallest gap to the front 1.0 ± {2.5 * sigma:.1f} m" in reasons[0]
+    assert ("a contact is not excluded" in reasons[0]) is not is_excluded
+    assert "(predicted probability over 99 %); by one camera." in reasons[0]
+
+
+def test_no_sentence_states_what_a_video_does_not_show() -> None:
+    """Each reason has a distance with its sigma, and contacts only as predictions."""
+    events = [
+        *events_of(approach()),
+        *events_of(approach(class_id=PERSON)),
+        *events_of(cut_in(active=True)),
+    ]
+    assert {event.kind for event in events} >= {"forward_collision", "pedestrian_on_path", "cut_in"}
+    for event in events:
+        assert re.search(r"\d ± \d+(\.\d)? m\b", event.reason), event.reason
+        assert not re.search("did not|avoided|without contact|no contact", event.reason)
+        assert "contact in" not in event.reason or "predicted probability" in event.reason
 
 
 @pytest.mark.parametrize(

@@ -161,8 +161,8 @@ def test_event_in_words() -> None:
     )
     assert (
         text
-        == "4.0 ± 0.2 m · collision in 1.2 s · closing 3.0 m/s · headway 0.8 s · ego 36 km/h · "
-        "contact 50 %"
+        == "4.0 ± 0.2 m · time to contact 1.2 s · closing 3.0 m/s · headway 0.8 s · ego 36 km/h · "
+        "predicted contact 50 %"
     )
     assert event_details(event(min_distance_m=math.nan)) == ""
     assert kind_counts([event(), event(), event(kind="cut_in")]) == [
@@ -235,7 +235,9 @@ def test_headline_of_a_probability() -> None:
     figure = shown(columns, [])[2]
     assert (figure["figure"], figure["time_s"]) == ("60 %", 0.7)
     columns["contact_probability"] = np.full(40, 0.2)
-    assert shown(columns, [])[2]["figure"] == "No collision course"
+    assert shown(columns, [])[2]["figure"] == "Below 25 %"
+    columns["contact_probability"] = np.full(40, np.nan)
+    assert shown(columns, [])[2]["figure"] == "Not known"
 
 
 def test_links_to_clips() -> None:
@@ -251,4 +253,4 @@ def test_headlines_without_road_users() -> None:
         "fused_m": np.full(40, 3.0),
     }
     figures = [headline["figure"] for headline in shown(columns, None)]
-    assert figures == ["No road user", "No distance", "No collision course"]
+    assert figures == ["No road user", "No distance", "Not known"]

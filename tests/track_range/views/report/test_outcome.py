@@ -39,7 +39,8 @@ def test_nearest_road_users():
 
 def test_events_in_lines():
     assert [*event_lines([])] == [
-        "No event: no collision warning, close following, hard approach, cut-in or near miss."
+        "No event found among the road users that were measured: no collision warning, close "
+        "following, hard approach, cut-in or near miss."
     ]
     warning = event(kind="cut_in", start_s=2.0, warning_s=2.1, reason="A car moved in.")
     first, line = event_lines([warning])

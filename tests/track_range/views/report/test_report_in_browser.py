@@ -282,6 +282,29 @@ def test_keys_step_through_a_chart_and_start_the_video(
     page.wait_for_function("() => document.getElementById('video').currentTime > 0.15")
 
 
+def test_probability_of_contact_in_the_cards(
+    page_of: Callable[..., Any], run: Path, tmp_path: Path
+) -> None:
+    """Drawn with the thresholds of the run for tracks whose probability is known; old runs have
+    none."""
+    columns = rows(N_FRAMES, 12)
+    is_first = columns["track_id"] == 1
+    columns["contact_probability"] = np.where(is_first, 0.04 * columns["frame"], np.nan)
+    settings = {"warning_options": {"on_probability": 0.5}}
+    write_report(tmp_path / "report.html", summary(settings=settings, files={}), columns, EVENTS)
+    page = page_of(tmp_path / "report.html")
+    charts = page.locator("#events .probability")
+    assert charts.count() == 2  # the second event is of a track without a probability
+    label = str(charts.first.get_attribute("aria-label"))
+    assert "car 1; alarm from 50 %, off below 10 %" in label
+    assert "first seen at 0.0 s, warning at 0.5 s, most critical at 0.9 s" in label
+    top, middle = (charts.first.locator(".limit").first.get_attribute(f"y{end}") for end in "12")
+    assert top == middle == "24"  # half of the way from 5 to 43 px
+    shown = charts.first.locator(".line").get_attribute("d")
+    assert len(str(shown).split("L")) == 20  # frames 0 to 19: 1 s after the end at 0.9 s
+    assert page_of(run / "report.html").locator("#events .probability").count() == 0
+
+
 def test_timeline_and_play_button(page_of: Callable[..., Any], run: Path) -> None:
     page = page_of(run / "report.html")
     wait_for_video(page)

@@ -51,33 +51,36 @@ def measurements(event: Event) -> list[str]:
 
     Events of earlier versions have only extremes.
     """
+    smallest_sigma = plus_minus(event.min_distance_sigma_m)
     if math.isfinite(event.peak_distance_m):
+        peak_m = f"{event.peak_distance_m:.1f}{plus_minus(event.peak_distance_sigma_m)} m"
+        gap_m = f"{event.gap_m:.1f}{smallest_sigma} m"
         state = (
-            (
-                event.peak_distance_m,
-                f"at {time_words(event.peak_s)}: {event.peak_distance_m:.1f} m from the camera",
-            ),
-            (event.peak_ttc_s, f"collision in {event.peak_ttc_s:.1f} s"),
+            (event.peak_distance_m, f"at {time_words(event.peak_s)}: {peak_m} from the camera"),
+            (event.peak_ttc_s, f"time to contact {event.peak_ttc_s:.1f} s"),
             (event.peak_closing_mps, f"closing {event.peak_closing_mps:.1f} m/s"),
             (event.peak_headway_s, f"headway {event.peak_headway_s:.1f} s"),
             (event.ego_mps, f"ego {3.6 * event.ego_mps:.0f} km/h"),
-            (event.peak_probability, f"contact {100 * event.peak_probability:.0f} %"),
-            (event.gap_m, f"smallest gap from the front bumper {event.gap_m:.1f} m"),
+            (event.peak_probability, f"predicted contact {100 * event.peak_probability:.0f} %"),
+            (event.gap_m, f"smallest gap from the front bumper {gap_m}"),
             (event.drac_mps2, f"required deceleration up to {event.drac_mps2:.1f} m/s²"),
             (event.pet_s, f"post-encroachment time {event.pet_s:.1f} s"),
         )
         return [text for value, text in state if math.isfinite(value)]
-    sigma_m = event.min_distance_sigma_m
-    sigma = f" ± {sigma_words(sigma_m)}" if math.isfinite(sigma_m) else ""
     texts = (
-        (event.min_distance_m, f"{event.min_distance_m:.1f}{sigma} m"),
-        (event.min_ttc_s, f"collision in {event.min_ttc_s:.1f} s"),
+        (event.min_distance_m, f"{event.min_distance_m:.1f}{smallest_sigma} m"),
+        (event.min_ttc_s, f"time to contact {event.min_ttc_s:.1f} s"),
         (event.closing_mps, f"closing {event.closing_mps:.1f} m/s"),
         (event.headway_s, f"headway {event.headway_s:.1f} s"),
         (event.ego_mps, f"ego {3.6 * event.ego_mps:.0f} km/h"),
-        (event.probability, f"contact {100 * event.probability:.0f} %"),
+        (event.probability, f"predicted contact {100 * event.probability:.0f} %"),
     )
     return [text for value, text in texts if math.isfinite(value)]
+
+
+def plus_minus(sigma_m: float) -> str:
+    """A standard deviation after its value; "" = unknown."""
+    return f" ± {sigma_words(sigma_m)}" if math.isfinite(sigma_m) else ""
 
 
 def sigma_words(sigma_m: float) -> str:

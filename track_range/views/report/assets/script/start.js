@@ -5,6 +5,7 @@ document.querySelectorAll("table.sortable").forEach(startSorting);
 if (content.timeline) {
   startTimeline();
   startEvents();
+  startProbabilities();
   startKeys();
   byId("play").addEventListener("click", togglePlay);
   for (const button of document.querySelectorAll(".headline[data-time]"))
