@@ -234,6 +234,7 @@ def folders(tmp_path):
                 **dict(zip(("x1_px", "y1_px", "x2_px", "y2_px"), box.split(","), strict=True)),
                 "closing_mps": 5.5 if name == "car" else 3.0,
                 "closing_sigma_mps": 0.5,
+                "contact_probability": 0.25,
             }
             rows.append(",".join(str(values.get(column, "")) for column in column_names()))
     (drive / "truth.csv").write_text("\n".join(truth) + "\n")
@@ -259,6 +260,15 @@ def test_objects_by_boxes(folders):
     assert figures["notes"] == []
     assert "IoU" in figures["protocol"]
     assert [row["track_id"] for row in figures["false_warnings"]] == [12]
+
+
+def test_a_run_that_could_not_warn(folders):
+    """Without a probability of contact, as of cameras to the side, no false alarm shows nothing."""
+    path = folders / "run/tracks.csv"
+    path.write_text(path.read_text().replace("0.25", ""))
+    for truth in (folders / "drive/contacts.csv", "none"):
+        notes = tr.evaluate.events(folders / "run", truth)["notes"]
+        assert any("could not warn" in note for note in notes)
 
 
 def test_closing_speeds_by_class(folders):

@@ -95,11 +95,13 @@ def test_a_warning_is_right_from_first_sight_to_the_conflict(tmp_path, warning_s
         (warning(2.5, class_name="truck"), "hit"),
         (warning(7.0, class_name="person", kind="pedestrian_on_path"), "false_alarm"),
         (warning(9.0), "false_alarm"),
+        (warning(9.95), "false_alarm"),  # at the cut, which is no road user
     ],
 )
 def test_what_a_warning_is(listed, one, outcome):
     scores = scored(listed, one)
     assert [row["outcome"] for row in scores["warnings"]] == [outcome]
+    assert 4 not in scores["warnings"][0]["fits_rows"]
     assert scores["overall"]["false_alarms"] == (outcome == "false_alarm")
     assert scores["overall"]["tolerated"] == (outcome == "tolerated")
 

@@ -110,6 +110,11 @@ def _evaluate_drive(settings: EventEvaluationSettings, given: Path, truth: Path)
         figures = _against_contacts(settings, drive, events, rows, read_contacts(truth))
     else:
         figures = _against_occurrences(drive, events, occurrences)
+    if kind != "events" and rows and not np.isfinite(rows["contact_probability"]).any():
+        drive.notes.append(
+            "The run has no probability of contact in any row, so that it could not warn: that "
+            "there is no false alarm shows nothing."
+        )
     drive.note_on_later(events)
     return {**figures, "events": str(given), "truth": str(truth), "notes": drive.notes}
 

@@ -68,7 +68,8 @@ class Occurrence:
     def standing(self, event: Event) -> str:
         """What a warning is on this row: hit, late, tolerated or false_alarm; "" = it does not fit."""
         is_rider = event.class_name == "person" and self.class_name in ("bicycle", "motorcycle")
-        if not (is_rider or are_same_class(event.class_name, self.class_name)):
+        is_similar = is_rider or are_same_class(event.class_name, self.class_name)
+        if not (self.class_name and is_similar):
             return ""
         last_s = np.fmax(self.conflict_s, self.nearest_s)
         is_before = event.warning_s < self.first_visible_s - self.tolerance_s
