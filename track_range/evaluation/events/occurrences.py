@@ -168,18 +168,43 @@ def occurrence_scores(
     Rows whose moments are not all in the scored part `part_s`, from and to, are not evaluated,
     unless there is a warning on them.
     """
+    warning_rows, on_row = _assigned(warnings, occurrences)
+    rows = [_row(one, on_row.get(i, []), part_s) for i, one in enumerate(occurrences)]
+    row_outcomes = [row["outcome"] for row in rows]
+    outcomes = [warning["outcome"] for warning in warning_rows]
+    results = [
+        (row["kind"], "hits" if row["outcome"] == "hit" else "misses", row["lead_s"])
+        for row in rows
+        if row["outcome"] in ("hit", "late", "missed")
+    ]
+    false = [one["kind"] for one in warning_rows if one["outcome"] == "false_alarm"]
+    results += [(kind, "false_alarms", None) for kind in false]
+    sections = sections_of(results, WARNING_KINDS, hours)
+    sections["overall"] |= {
+        "late": row_outcomes.count("late"),
+        "tolerated": outcomes.count("tolerated"),
+        "repeated": outcomes.count("repeated"),
+        "ambiguous": sum(len(warning["fits_rows"]) > 1 for warning in warning_rows),
+    }
+    return {**sections, "occurrences": rows, "warnings": warning_rows}
+
+
+def _assigned(
+    warnings: Sequence[Event], occurrences: Sequence[Occurrence]
+) -> tuple[list[dict[str, Any]], dict[int, list[Event]]]:
+    """Result of each warning in the order of time, and the warnings on each occurrence."""
     on_row: dict[int, list[Event]] = {}
-    warning_rows: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = []
     for event in sorted(warnings, key=lambda one: one.warning_s):
         fits = {i: fit for i, one in enumerate(occurrences) if (fit := one.standing(event))}
         order = sorted((_ORDER.index(fit), i in on_row, i) for i, fit in fits.items())
-        row = order[0][-1] if order else None
-        outcome = "false_alarm" if row is None else fits[row]
-        if row is not None:
-            if row in on_row and outcome in ("hit", "late"):
-                outcome = "repeated"
+        row, outcome = None, "false_alarm"
+        if order:
+            _, is_warned, row = order[0]
+            is_repeated = is_warned and occurrences[row].warning == "right"
+            outcome = "repeated" if is_repeated else fits[row]
             on_row.setdefault(row, []).append(event)
-        warning_rows.append(
+        rows.append(
             {
                 "kind": event.kind,
                 "warning_s": rounded(event.warning_s),
@@ -190,26 +215,7 @@ def occurrence_scores(
                 "fits_rows": [i + 1 for i in fits],
             }
         )
-    rows = [_row(one, on_row.get(i, []), part_s) for i, one in enumerate(occurrences)]
-    results = [
-        (row["kind"], "hits" if row["outcome"] == "hit" else "misses", row["lead_s"])
-        for row in rows
-        if row["outcome"] in ("hit", "late", "missed")
-    ]
-    outcomes = [warning["outcome"] for warning in warning_rows]
-    results += [
-        (warning["kind"], "false_alarms", None)
-        for warning in warning_rows
-        if warning["outcome"] == "false_alarm"
-    ]
-    sections = sections_of(results, WARNING_KINDS, hours)
-    sections["overall"] |= {
-        "late": sum(row["outcome"] == "late" for row in rows),
-        "tolerated": outcomes.count("tolerated"),
-        "repeated": outcomes.count("repeated"),
-        "ambiguous": sum(len(warning["fits_rows"]) > 1 for warning in warning_rows),
-    }
-    return {**sections, "occurrences": rows, "warnings": warning_rows}
+    return rows, on_row
 
 
 def _row(one: Occurrence, warnings: Sequence[Event], part_s: tuple[float, float]) -> dict[str, Any]:

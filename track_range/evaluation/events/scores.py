@@ -279,24 +279,21 @@ def pooled(drives: Sequence[Scores]) -> Scores:
     """Sections of several drives together: sums, and the leads of all; the hours are unknown if
     those of a drive are.
     """
-
-    def section(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
-        sums = {
-            name: sum(part.get(name, 0) for part in parts)
-            for name in (*_COUNTS, *_FURTHER_COUNTS)
-            if any(name in part for part in parts)
-        }
-        hours = [part["hours"] for part in parts]
-        total = None if None in hours else sum(hours)
-        leads_s = [lead_s for part in parts for lead_s in part["lead_s"]]
-        return {**sums, **rates_of(sums["false_alarms"], total), "lead_s": leads_s}
-
     kinds = dict.fromkeys(kind for drive in drives for kind in drive["by_kind"])
     by_kind = {
-        kind: section([drive["by_kind"][kind] for drive in drives if kind in drive["by_kind"]])
+        kind: _pooled([drive["by_kind"][kind] for drive in drives if kind in drive["by_kind"]])
         for kind in kinds
     }
-    return {"overall": section([drive["overall"] for drive in drives]), "by_kind": by_kind}
+    return {"overall": _pooled([drive["overall"] for drive in drives]), "by_kind": by_kind}
+
+
+def _pooled(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    names = [*_COUNTS, *(name for name in _FURTHER_COUNTS if any(name in part for part in parts))]
+    sums = {name: sum(part.get(name, 0) for part in parts) for name in names}
+    hours = [part["hours"] for part in parts]
+    total = None if None in hours else sum(hours)
+    leads_s = [lead_s for part in parts for lead_s in part["lead_s"]]
+    return {**sums, **rates_of(sums["false_alarms"], total), "lead_s": leads_s}
 
 
 def rounded(value: float) -> float:
