@@ -51,7 +51,7 @@ YAW_SIGMA_RAD_S = 0.004
 IDS_PER_DRIVE = 100_000  # difference between the track ids of two drives that run as one
 SIZE_MODEL = load_curves()
 
-Step = tuple[BoxFrame, Tracks]  # a frame of a drive with its tracks
+Step = tuple[BoxFrame, Tracks, Tracks]  # a frame of a drive, its tracks and tentative tracks
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ def tracked(drive: BoxDrive) -> list[Step]:
     """The frames of a drive with their tracks, by the default tracker."""
     tracker = _BoxTracker()
     image = _no_image(drive.rig.left)
-    return [(frame, tracker.update_frame(frame, image)) for frame in drive]
+    return [(frame, tracker.update_frame(frame, image), tracker.tentative) for frame in drive]
 
 
 def run_boxes(
@@ -180,41 +180,40 @@ class _Source(Ranger):
     """Tracker and stereo ranger that return what the drives have for the current frame."""
 
     tracks: Tracks
+    tentative: Tracks
     steps: Sequence[Step]
 
     def set(self, steps: Sequence[Step]) -> None:
         self.steps = steps
         self._box: list[IntArray] = []
-        for frame, tracks in steps:
+        for frame, tracks, _ in steps:
             overlap = iou(tracks.xyxy_px, frame.detections.xyxy_px)
             box = overlap.argmax(axis=1) if overlap.shape[1] else np.zeros(len(tracks), np.int64)
             has_box = tracks.observed & (overlap.max(axis=1, initial=0.0) >= MIN_IOU)
             self._box.append(np.where(has_box, box, -1))
-        xyxy_px, class_id, score, observed = (
-            np.concatenate([getattr(tracks, name) for _, tracks in steps])
-            for name in ("xyxy_px", "class_id", "score", "observed")
-        )
-        track_id = np.concatenate(
-            [tracks.track_id + IDS_PER_DRIVE * k for k, (_, tracks) in enumerate(steps)]
-        )
-        self.tracks = Tracks(track_id, xyxy_px, class_id, score, observed)
+        self.tracks = _joined([tracks for _, tracks, _ in steps])
+        self.tentative = _joined([tentative for _, _, tentative in steps])
+
+    def track_activation_threshold(self, class_id: IntArray) -> FloatArray:
+        """0 for all classes (N,): which boxes start tracks is decided before."""
+        return np.zeros(len(class_id))
 
     def update(self, detections: Detections, time_s: float, image: Image | None) -> Tracks:
         """The tracks of the current frame."""
         return self.tracks
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        distance_m = self._of_boxes([frame.stereo_m for frame, _ in self.steps])
+        distance_m = self._of_boxes([frame.stereo_m for frame, *_ in self.steps])
         return Ranges(
             tracks.track_id,
             distance_m,
-            self._of_boxes([frame.stereo_sigma_m for frame, _ in self.steps]),
+            self._of_boxes([frame.stereo_sigma_m for frame, *_ in self.steps]),
         )
 
     def truth(self) -> tuple[IntArray, FloatArray]:
         """Road user and true distance of the tracks."""
-        user = self._of_boxes([frame.user.astype(np.float64) for frame, _ in self.steps])
-        true_m = self._of_boxes([frame.true_m for frame, _ in self.steps])
+        user = self._of_boxes([frame.user.astype(np.float64) for frame, *_ in self.steps])
+        true_m = self._of_boxes([frame.true_m for frame, *_ in self.steps])
         is_user = user >= 0  # false for NaN
         return np.where(is_user, user, -1).astype(np.int64), np.where(is_user, true_m, np.nan)
 
@@ -226,6 +225,15 @@ class _Source(Ranger):
         )
 
 
+def _joined(drives: Sequence[Tracks]) -> Tracks:
+    """The tracks of K drives as those of one."""
+    columns = [
+        np.concatenate([getattr(tracks, name) for tracks in drives]) for name in Tracks.__slots__
+    ]
+    first_id = np.repeat(IDS_PER_DRIVE * np.arange(len(drives)), [len(part) for part in drives])
+    return Tracks(columns[0] + first_id, *columns[1:])
+
+
 class _Sizes(Ranger):
     """Size ranging of each drive separately, since the boxes of a frame share the ground."""
 
@@ -235,7 +243,7 @@ class _Sizes(Ranger):
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         parts = [
             ranger.measure(own, frame)
-            for ranger, (_, own) in zip(self._rangers, self._source.steps, strict=True)
+            for ranger, (_, own, _) in zip(self._rangers, self._source.steps, strict=True)
         ]
         distance_m, sigma_m = np.concatenate(
             [[part.distance_m, part.sigma_m] for part in parts], axis=1

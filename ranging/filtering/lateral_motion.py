@@ -26,6 +26,9 @@ width of the class, at (dx, dz) from its centre:
 at the depth z of the centre, in front of which the ray through the middle of the box enters the
 rectangle at the distance d. x is the mean of both edges, or that of the edge that the border of the
 image does not cut.
+
+The boxes of a track that is not confirmed yet have no distance. They are remembered, and when the
+track has a distance d with the rate v, they are filtered first, at the distances d + v (t_i - t).
 """
 
 import math
@@ -106,6 +109,15 @@ class _LateralState(NamedTuple):
     measured_s: FloatArray  # time of the last measurement
 
 
+class _Unconfirmed(NamedTuple):
+    """The boxes of a frame without a distance, and the motion of the camera up to it."""
+
+    tracks: Tracks
+    time_s: float
+    yaw_rad_s: float
+    right_mps: float
+
+
 class LateralFilters:
     """Kalman filters of the lateral motion of all tracks of a video, relative to one camera.
 
@@ -126,11 +138,63 @@ class LateralFilters:
         if mounting is not None and not looks_ahead(mounting):
             right, _, forward = mounting.velocity_mps(1.0).tolist()
             self._drive = right, forward
+        self._mounting = mounting
         self._tracks = TrackState(np.full(len(_LateralState._fields), np.nan))
+        self._unconfirmed: list[_Unconfirmed] = []  # frames of the last `_MAX_GAP_S`
 
     def last(self, track_id: IntArray) -> ConstantVelocity:
         """Lateral positions and speeds of the tracks (N,) in the last frame; NaN = unknown."""
         return ConstantVelocity(*_LateralState._make(self._tracks.get(track_id))[:5])
+
+    def remember(
+        self, unconfirmed: Tracks, time_s: float, *, yaw_rad_s: float, right_mps: float
+    ) -> None:
+        """Keep the boxes of a frame whose tracks are not confirmed yet, for `start`; the camera's
+        motion is that of `update`.
+        """
+        self._unconfirmed = [
+            seen for seen in self._unconfirmed if time_s - seen.time_s <= _MAX_GAP_S
+        ]
+        if len(unconfirmed):
+            self._unconfirmed.append(_Unconfirmed(unconfirmed, time_s, yaw_rad_s, right_mps))
+
+    def start(
+        self,
+        tracks: Tracks,
+        distance: ConstantVelocity,
+        time_s: float,
+        *,
+        own_mps: FloatArray | float = 0.0,
+    ) -> None:
+        """Start the filters of new tracks with the boxes from before they were confirmed, by the
+        distances (N,) and their rates at `time_s`; `update` follows.
+
+        An error of the rate is one of the lateral speed, in proportion to the bearing.
+        """
+        is_new = np.isnan(self._tracks.get(tracks.track_id)[0]) & np.isfinite(distance.v)
+        if not self._unconfirmed or not is_new.any():
+            return
+        earlier = np.concatenate([seen.tracks.track_id for seen in self._unconfirmed])
+        is_new &= np.isin(tracks.track_id, earlier)
+        new_ids, own_mps = tracks.track_id[is_new], np.broadcast_to(own_mps, len(tracks))[is_new]
+        now = ConstantVelocity(*(column[is_new] for column in distance.columns))
+        replay = LateralFilters(self._camera, self._mounting)
+        for seen in self._unconfirmed:
+            _, boxes, rows = np.intersect1d(seen.tracks.track_id, new_ids, return_indices=True)
+            replay.update(
+                seen.tracks.select(boxes),
+                now.x[rows] + (seen.time_s - time_s) * now.v[rows],
+                seen.time_s,
+                distance_sigma_m=np.sqrt(now.P_xx[rows]),
+                yaw_rad_s=seen.yaw_rad_s,
+                own_mps=own_mps[rows],
+                right_mps=seen.right_mps,
+            )
+        state = _LateralState._make(replay._tracks.get(new_ids))
+        rate_variance = (state.x / now.x) ** 2 * now.P_vv
+        state = state._replace(P_uu=state.P_uu + rate_variance)
+        n_known = self._tracks.known.shape[-1]
+        self._tracks.put(new_ids, np.array(state), keep_known=np.ones(n_known, np.bool_))
 
     def update(
         self,

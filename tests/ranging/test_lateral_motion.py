@@ -3,12 +3,14 @@ camera."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.ranging.filtering.lateral_motion import LateralFilters
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.mounting import Mounting
@@ -244,3 +246,73 @@ def test_parked_car_beside_a_camera_that_looks_aside(yaw_deg: float) -> None:
         assert abs(motion.state.v[0]) < 0.7
         assert abs(motion.state.x[0] - centre_m[0]) < 0.3
     assert n_cut >= 2
+
+
+def crossing(time_s: float) -> tuple[Tracks, float]:
+    """Box and distance of a person who crosses at 1.5 m/s, 30 m ahead of a car at 10 m/s."""
+    z_m = 30.0 - 10.0 * time_s
+    seen = tracks([box(4.0 - 1.5 * time_s, z_m, 0.6)])
+    return replace(seen, class_id=np.zeros(1, np.int64)), z_m
+
+
+def distance_of(z_m: float, *, rate_sigma_mps: float = 0.5) -> ConstantVelocity:
+    return ConstantVelocity(
+        *(np.array([value]) for value in (z_m, -10.0, 0.01, 0.0, rate_sigma_mps**2))
+    )
+
+
+def confirmed_after(
+    filters: LateralFilters, n: int, *, rate_sigma_mps: float = 0.5, gap_s: float = STEP_S
+) -> ConstantVelocity:
+    """State of the person when the track is confirmed, `gap_s` after n boxes without a distance."""
+    for number in range(n):
+        filters.remember(
+            crossing(number * STEP_S)[0], number * STEP_S, yaw_rad_s=0.0, right_mps=0.0
+        )
+    time_s = (n - 1) * STEP_S + gap_s
+    seen, z_m = crossing(time_s)
+    filters.start(seen, distance_of(z_m, rate_sigma_mps=rate_sigma_mps), time_s)
+    return filters.update(seen, np.array([z_m]), time_s).state
+
+
+def test_boxes_before_the_confirmation_show_the_lateral_speed() -> None:
+    """A box each 0.1 s with 1.3 px of noise, 0.055 m: after n boxes and a distance."""
+    new = confirmed_after(LateralFilters(CAMERA), 0, gap_s=STEP_S)
+    assert (new.v[0], new.P_vv[0]) == (0.0, 25.0)
+    sigma_mps = []
+    for n in (1, 3, 6):
+        state = confirmed_after(LateralFilters(CAMERA), n, rate_sigma_mps=0.0)
+        assert state.v[0] == pytest.approx(-1.5, abs=0.1)
+        sigma_mps.append(np.sqrt(state.P_vv[0]))
+    assert sigma_mps[0] == pytest.approx(0.055 * np.sqrt(2) / STEP_S, rel=0.2)
+    assert sigma_mps[0] > 2 * sigma_mps[1] > 2 * sigma_mps[2]
+
+
+def test_an_error_of_the_closing_speed_is_one_of_the_lateral_speed() -> None:
+    """The bearing is 3.25 m / 25 m, and the distances before are wrong by the speed."""
+    sure, unsure = (
+        confirmed_after(LateralFilters(CAMERA), 5, rate_sigma_mps=sigma) for sigma in (0.0, 4.0)
+    )
+    assert unsure.P_vv[0] > sure.P_vv[0]
+    assert unsure.P_vv[0] - sure.P_vv[0] < (4.0 * 3.25 / 25.0) ** 2
+
+
+def test_boxes_long_before_the_confirmation_do_not_count() -> None:
+    assert confirmed_after(LateralFilters(CAMERA), 5, gap_s=0.9).v[0] == pytest.approx(-1.5, abs=0.1)
+    assert confirmed_after(LateralFilters(CAMERA), 5, gap_s=1.5).v[0] == 0.0
+
+
+def test_boxes_of_other_tracks_and_unknown_rates_start_nothing() -> None:
+    filters = LateralFilters(CAMERA)
+    seen, z_m = crossing(0.0)
+    filters.remember(
+        replace(seen, track_id=seen.track_id + 1), 0.0, yaw_rad_s=0.0, right_mps=0.0
+    )
+    filters.start(seen, distance_of(z_m), STEP_S)
+    assert np.isnan(filters.last(seen.track_id).x[0])
+    filters.remember(seen, 0.0, yaw_rad_s=0.0, right_mps=0.0)
+    unknown = replace(distance_of(z_m), v=np.array([np.nan]))
+    filters.start(seen, unknown, STEP_S)
+    assert np.isnan(filters.last(seen.track_id).x[0])
+    filters.start(seen, distance_of(z_m), STEP_S)
+    assert np.isfinite(filters.last(seen.track_id).x[0])

@@ -70,7 +70,8 @@ MOST_STATEMENTS = {
     # lines that are no lane (5)
     # speeds that are lost for seconds (5)
     # plain curves within the fitted distances (8)
-    "ranging": 7_027,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    # boxes from before a confirmation as evidence of the lateral speed (28)
+    "ranging": 7_055,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     "api": 106,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
@@ -110,7 +111,8 @@ MOST_STATEMENTS = {
     # lane lines between the boxes, in a thread of their own (8)
     # speeds by the road without a given height (9)
     # the motion of the vehicle as that of a camera (14), also by the road (9), and visible sides aside (8)
-    "pipeline": 907,
+    # the boxes of unconfirmed tracks (5)
+    "pipeline": 912,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120),

@@ -111,9 +111,19 @@ class FilterStage:
         self._lateral = LateralFilters(camera, mounting)
 
     def update(
-        self, tracks: Tracks, measured: FrameRanges, fused: Fused, ego: EgoMotion, time_s: float
+        self,
+        tracks: Tracks,
+        measured: FrameRanges,
+        fused: Fused,
+        ego: EgoMotion,
+        time_s: float,
+        *,
+        unconfirmed: Tracks | None = None,
     ) -> Filtered:
-        """The motion of the tracks at `time_s`, after the measurements of this frame."""
+        """The motion of the tracks at `time_s`, after the measurements of this frame.
+
+        The boxes of the `unconfirmed` tracks count once these are confirmed; None = there are none.
+        """
         if ego.speed_sigma_mps > _MAX_EGO_SIGMA_MPS:
             ego = replace(ego, speed_mps=math.nan)
         filtered = self._distances.update(
@@ -132,6 +142,7 @@ class FilterStage:
         motion = filtered["fused"]
         is_ego_known = math.isfinite(ego.speed_mps)
         own_mps = motion.state.v + ego.speed_mps if is_ego_known else 0.0
+        self._lateral.start(tracks, motion.state, time_s, own_mps=own_mps)
         lateral = self._lateral.update(
             tracks,
             motion.ranges.distance_m,
@@ -139,6 +150,12 @@ class FilterStage:
             distance_sigma_m=np.sqrt(motion.state.P_xx),
             yaw_rad_s=ego.yaw_rad_s,
             own_mps=own_mps,
+            right_mps=ego.right_mps,
+        )
+        self._lateral.remember(
+            Tracks.empty() if unconfirmed is None else unconfirmed,
+            time_s,
+            yaw_rad_s=ego.yaw_rad_s,
             right_mps=ego.right_mps,
         )
         if not self._is_ahead:

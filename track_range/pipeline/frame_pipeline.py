@@ -16,7 +16,7 @@ from track_range.pipeline.ego import EgoStage
 from track_range.pipeline.filtering import Approach, FilterStage, reported
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.ranging import FrameRanges, RangingStage
-from track_range.pipeline.tracking import tracked
+from track_range.pipeline.tracking import tracked, unconfirmed
 from track_range.pipeline.world import WorldStage
 from track_range.ranging.cameras.doubt import Doubt
 from track_range.ranging.fusion.fusion import Fusion
@@ -32,6 +32,7 @@ class _Seen(NamedTuple):
     """What the image of a frame shows, before it is fused and filtered."""
 
     tracks: Tracks
+    unconfirmed: Tracks  # not ranged or reported, but their boxes show how they move
     ego: Ego
     measured: FrameRanges
 
@@ -81,7 +82,7 @@ class FramePipeline:
         else:
             shown = detected._replace(frame=replace(frame, time_s=time_s))
             seen = self._measured(shown, known_ego, has_sure_time=image.is_sure)
-        tracks, ego, measured = seen
+        tracks, ego, measured = seen.tracks, seen.ego, seen.measured
         doubt, scale = self.doubt, self.scale
         if not image.is_repeated:
             with stage("doubt"):
@@ -90,7 +91,9 @@ class FramePipeline:
         with stage("fuse"):
             fused = self.fusion.fuse(measured.ranges, tracks.track_id, time_s)
         with stage("filter"):
-            filtered = self.filtering.update(tracks, measured, fused, ego.motion, time_s)
+            filtered = self.filtering.update(
+                tracks, measured, fused, ego.motion, time_s, unconfirmed=seen.unconfirmed
+            )
             filtered = filtered.corrected(scale.focal)
             ranges = reported(measured, fused, filtered, doubt, scale.focal)
             approach = Approach.of(filtered.fused, doubt.closing_sigma)
@@ -137,7 +140,7 @@ class FramePipeline:
         if ego.right_camera is not None:
             frame = ego.right_camera.corrected(frame)
         measured = self.ranging.measure(tracks, frame, lanes, ego, self.scale, self.clock)
-        return _Seen(tracks, ego, measured)
+        return _Seen(tracks, unconfirmed(self.tracker), ego, measured)
 
     def _predicted(self, frame: Frame, known_ego: EgoMotion | None) -> _Seen:
         """The last tracks, without measurements: a repeated image shows nothing of its time."""
@@ -149,7 +152,7 @@ class FramePipeline:
                 trusts_given=self.doubt.trusts_speed,
                 focal=self.scale.focal,
             )
-        return _Seen(tracks, ego, self.ranging.skip(tracks, frame))
+        return _Seen(tracks, Tracks.empty(), ego, self.ranging.skip(tracks, frame))
 
     def notes(self) -> tuple[str, ...]:
         """Messages for the user about the parts of the pipeline, besides those of the stages."""

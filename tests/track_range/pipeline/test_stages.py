@@ -204,6 +204,31 @@ def filtered(
     return frame_ranges, fused, motion
 
 
+def test_boxes_of_unconfirmed_tracks_show_the_lateral_speed_once_they_are_confirmed():
+    """Both cars are seen for 0.5 s, the second one without being confirmed."""
+    sigma_mps = {}
+    for shown in (None, CARS.select([1])):
+        stage, fusion = FilterStage(CAMERA), Fusion()
+        for k in range(6):
+            tracks = CARS.select([0] if k < 5 else [0, 1])
+            distance_m = np.array([20.0 - k, 30.0 - k])[: len(tracks)]
+            frame_ranges = measured(mono=Ranges(tracks.track_id, distance_m, 0.02 * distance_m))
+            fused = fusion.fuse(frame_ranges.ranges, tracks.track_id, 0.1 * k)
+            moved = stage.update(
+                tracks,
+                frame_ranges,
+                fused,
+                KNOWN,
+                0.1 * k,
+                unconfirmed=shown if k < 5 else None,
+            )
+            assert len(moved.lateral.state.x) == len(tracks)
+        sigma_mps[shown is None] = np.sqrt(moved.lateral.state.P_vv)
+    assert sigma_mps[True][1] == pytest.approx(5.0)
+    assert 0.2 < sigma_mps[False][1] < 2.0
+    assert sigma_mps[False][0] == sigma_mps[True][0]
+
+
 def test_filters_ignore_an_ego_speed_that_is_less_certain_than_the_rates_that_they_report():
     sure, unsure, unknown = (
         filtered(ego=ego)[2].fused for ego in (KNOWN, EgoMotion(12.0, 1.6), EgoMotion())
