@@ -13,11 +13,13 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from track_range.detection.boxes import iou
-from track_range.detection.classes import SAME_OBJECT_GROUP
+from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.tracking.motion import BoxFilters, MotionNoise, cxcywh
 
 Classes = Literal["similar", "same", "any"]  # similar: confused by detectors
+# groups of a person and of the two-wheelers
+_RIDER_GROUPS = SAME_OBJECT_GROUP[[ROAD_CLASSES.index("person"), ROAD_CLASSES.index("bicycle")]]
 # 1 - IoU above which a track and a detection are not candidates for each other
 _UNRELATED_COST = 0.95
 _GROWTH = 0.5  # standard deviation of the relative growth of a box, 1/s
@@ -147,6 +149,15 @@ def are_compatible(
             SAME_OBJECT_GROUP[detected_class_id],
         )
     return np.asarray(track_class_id[:, None] == detected_class_id[None, :])
+
+
+def may_be_riders(track_class_id: IntArray, detected_class_id: IntArray) -> BoolArray:
+    """(N, M) whether one of a track and a detection is a person and the other one a bicycle or a
+    motorcycle: detectors have either name for one rider, and change it.
+    """
+    track_group, group = SAME_OBJECT_GROUP[track_class_id], SAME_OBJECT_GROUP[detected_class_id]
+    is_either = np.isin(track_group, _RIDER_GROUPS)[:, None] & np.isin(group, _RIDER_GROUPS)
+    return np.asarray(is_either & (track_group[:, None] != group))
 
 
 def min_cost_matching(cost: FloatArray, *, max_cost: float) -> tuple[IntArray, IntArray]:

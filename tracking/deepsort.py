@@ -5,6 +5,7 @@
                          low-confidence detections - confirmed tracks    IoU
                          high-confidence detections - tentative tracks   IoU of widened boxes; at low frame rates
                                                                          distance and size before
+                         people - bicycles and motorcycles               IoU: one rider with another name
     3. update matched    tracks get their detections; tentative ones are confirmed
     4. initiate          unmatched high-confidence detections become tentative tracks
     5. output            confirmed tracks, with detected (or smoothed) boxes, or predicted ones for a short time
@@ -37,6 +38,7 @@ from track_range.tracking.association import (
     are_compatible,
     distance_cost,
     iou_cost,
+    may_be_riders,
 )
 from track_range.tracking.camera_motion import CameraMotion
 from track_range.tracking.confidence_threshold import (
@@ -87,6 +89,8 @@ class DeepSortSettings:
     min_iou_tentative: float = 0.3
     # widening / box size, because the speed of a new track is unknown
     tentative_margin: float = 0.3
+    # minimum IoU of a rider's boxes, one named person and the other one bicycle or motorcycle
+    min_iou_rider: float = 0.5
     # time between two frames from which tracks are matched by distance and size
     min_distance_step_s: float = 0.15
     # largest squared Mahalanobis distance there: 99 % at 3 degrees of freedom
@@ -352,7 +356,24 @@ class DeepSortTracker:
             cost = iou_cost(boxes_px[i], detections.xyxy_px[j], margin=settings.tentative_margin)
             cost[~allowed[i[:, None], j]] = np.inf
             assignment.match_subset(cost, i, j, max_cost=1 - settings.min_iou_tentative)
+        if settings.classes == "similar":
+            self._match_riders(assignment, detections, boxes_px)
         return assignment
+
+    def _match_riders(
+        self, assignment: Assignment, detections: Detections, boxes_px: FloatArray
+    ) -> None:
+        """Match the remaining tracks and detections of riders, whom detectors name after the person
+        or after what they ride; `boxes_px` (N, 4) are predicted.
+        """
+        confirmed, any_box = self._table.is_confirmed, np.ones(len(detections), np.bool_)
+        for tracks in (confirmed, ~confirmed):
+            i, j = assignment.unmatched(tracks, any_box)
+            is_rider = may_be_riders(self._table.class_id[i], detections.class_id[j])
+            if is_rider.any():
+                cost = iou_cost(boxes_px[i], detections.xyxy_px[j])
+                cost[~is_rider] = np.inf
+                assignment.match_subset(cost, i, j, max_cost=1 - self._settings.min_iou_rider)
 
     def _update_matched(
         self, rows: IntArray, detections: Detections, matched: IntArray, time_s: float

@@ -176,7 +176,10 @@ class LateralFilters:
             return
         earlier = np.concatenate([seen.tracks.track_id for seen in self._unconfirmed])
         is_new &= np.isin(tracks.track_id, earlier)
-        new_ids, own_mps = tracks.track_id[is_new], np.broadcast_to(own_mps, len(tracks))[is_new]
+        new_ids, objects_mps = (
+            tracks.track_id[is_new],
+            np.broadcast_to(own_mps, len(tracks))[is_new],
+        )
         now = ConstantVelocity(*(column[is_new] for column in distance.columns))
         replay = LateralFilters(self._camera, self._mounting)
         for seen in self._unconfirmed:
@@ -187,7 +190,7 @@ class LateralFilters:
                 seen.time_s,
                 distance_sigma_m=np.sqrt(now.P_xx[rows]),
                 yaw_rad_s=seen.yaw_rad_s,
-                own_mps=own_mps[rows],
+                own_mps=objects_mps[rows],
                 right_mps=seen.right_mps,
             )
         state = _LateralState._make(replay._tracks.get(new_ids))

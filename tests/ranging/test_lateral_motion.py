@@ -298,16 +298,16 @@ def test_an_error_of_the_closing_speed_is_one_of_the_lateral_speed() -> None:
 
 
 def test_boxes_long_before_the_confirmation_do_not_count() -> None:
-    assert confirmed_after(LateralFilters(CAMERA), 5, gap_s=0.9).v[0] == pytest.approx(-1.5, abs=0.1)
+    assert confirmed_after(LateralFilters(CAMERA), 5, gap_s=0.9).v[0] == pytest.approx(
+        -1.5, abs=0.1
+    )
     assert confirmed_after(LateralFilters(CAMERA), 5, gap_s=1.5).v[0] == 0.0
 
 
 def test_boxes_of_other_tracks_and_unknown_rates_start_nothing() -> None:
     filters = LateralFilters(CAMERA)
     seen, z_m = crossing(0.0)
-    filters.remember(
-        replace(seen, track_id=seen.track_id + 1), 0.0, yaw_rad_s=0.0, right_mps=0.0
-    )
+    filters.remember(replace(seen, track_id=seen.track_id + 1), 0.0, yaw_rad_s=0.0, right_mps=0.0)
     filters.start(seen, distance_of(z_m), STEP_S)
     assert np.isnan(filters.last(seen.track_id).x[0])
     filters.remember(seen, 0.0, yaw_rad_s=0.0, right_mps=0.0)

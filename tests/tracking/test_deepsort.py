@@ -16,7 +16,9 @@ from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, 
 from track_range.tracking.history import PredictionGates
 from track_range.tracking.tracks import Tracks
 
-CAR, TRUCK, PERSON = (ROAD_CLASSES.index(name) for name in ("car", "truck", "person"))
+CAR, TRUCK, PERSON, BICYCLE = (
+    ROAD_CLASSES.index(name) for name in ("car", "truck", "person", "bicycle")
+)
 IMAGE = np.zeros((375, 1242, 3), np.uint8)
 SEEDS = range(15)  # of random frames
 NO_PREDICTION = DeepSortSettings(prediction=PredictionGates(max_missing_s=0.0))
@@ -307,6 +309,28 @@ def test_a_person_does_not_become_a_car() -> None:
         [car_at(100), car_at(100, class_id=PERSON), car_at(100, class_id=PERSON)],
     )
     assert [tracks.track_id.tolist() for tracks in out] == [[1], [], [2]]
+
+
+def test_a_rider_is_one_object_by_either_name() -> None:
+    """Also before the track is confirmed; the class is voted."""
+    labels = [PERSON, BICYCLE, BICYCLE, PERSON, *[BICYCLE] * 8]
+    boxes = [car_at(100 + 2 * k, class_id=c) for k, c in enumerate(labels)]
+    out = drive(DeepSortTracker(NO_PREDICTION), boxes)
+    assert [tracks.track_id.tolist() for tracks in out] == [[1]] * 12
+    assert [out[0].class_id[0], out[-1].class_id[0]] == [PERSON, BICYCLE]
+    later = drive(DeepSortTracker(NO_PREDICTION), [Detections.empty(), *boxes])
+    assert [tracks.track_id.tolist() for tracks in later] == [[], [], *[[1]] * 11]
+
+
+def test_a_person_beside_a_bicycle_is_another_object() -> None:
+    """Each box continues its own name; a bicycle that overlaps by 0.4 does not continue a person."""
+    pair = both(car_at(100, class_id=PERSON), car_at(108, class_id=BICYCLE))
+    swapped = both(car_at(108, class_id=PERSON), car_at(100, class_id=BICYCLE))
+    out = drive(DeepSortTracker(NO_PREDICTION), [pair, pair, swapped, swapped])
+    assert [tracks.class_id[tracks.track_id == 1].tolist() for tracks in out] == [[PERSON]] * 4
+    beside = [car_at(100, class_id=PERSON)] * 3 + [car_at(126, class_id=BICYCLE)] * 3
+    ids = [tracks.track_id.tolist() for tracks in drive(DeepSortTracker(NO_PREDICTION), beside)]
+    assert ids == [[1]] * 3 + [[]] + [[2]] * 2
 
 
 def test_two_cars_that_pass_each_other_keep_their_ids() -> None:

@@ -3,7 +3,12 @@
 from track_range.detection.detections import Detections
 from track_range.foundation.errors import named_errors
 from track_range.stereo.geometry.frames import Frame
-from track_range.tracking.registry import ObjectTracker, RefinableTracker, TrackerError, checked_tracks
+from track_range.tracking.registry import (
+    ObjectTracker,
+    RefinableTracker,
+    TrackerError,
+    checked_tracks,
+)
 from track_range.tracking.tracks import Tracks
 
 
