@@ -31,6 +31,8 @@ side), so does its systematic error: the variances of the old and the new error 
 variance of d, so that the step does not appear as speed. A measurement beyond 3 sigma is down-
 weighted (Huber); after three in a row the filter restarts.
 
+A change of the size that a method assumes scales the state, and is no motion (`BelievedSizes`).
+
 Where the image border cuts a box, the object's far end is predicted (`cut_boxes`). The growth of
 objects in the images is a further measurement (`key_distance`).
 """
@@ -44,6 +46,7 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
+from track_range.ranging.filtering.believed_size import BelievedSizes
 from track_range.ranging.filtering.cut_boxes import CutBoxes
 from track_range.ranging.filtering.filter_bank import (
     FilterBank,
@@ -98,6 +101,7 @@ class DistanceFilters:
         self._fractions = {name: share * share for name, share in noise_shares.items()}
         n_methods = len(noise_shares)
         self._noise_scale = NoiseScale(n_methods)
+        self._sizes = BelievedSizes(n_methods)
         self._models = InteractingModels(n_methods)
         if not self._settings.learns_noise:
             noises = (self._settings.acceleration_noise,)
@@ -139,6 +143,7 @@ class DistanceFilters:
 
         bank = bank.with_needed_states(step)
         bank = bank.predict(step)
+        bank = bank.resize(step)
         bank = bank.interact(step)
         bank = bank.step_of_condition(step)
         gate = bank.gate(step)
@@ -162,6 +167,7 @@ class DistanceFilters:
     ) -> FilterStep:
         """The step of the filters `bank` of the previous frame to this one."""
         measured = MeasuredDistances.of(by_method, self._fractions, self._noise_scale.factor)
+        track_id = next(iter(by_method.values())).track_id
         last, n = bank.history, measured.valid.shape[-1]
         dt = np.fmax(time_s - last.time_s, 0.0)  # 0 for a new track
         class_id = observation.class_id
@@ -175,6 +181,9 @@ class DistanceFilters:
         other_mps = bank.ego_mps * (stretched if math.isfinite(stretched) else 1.0)
         last_mps = np.where(self._models.is_static, bank.ego_mps, other_mps)
         ego_step = EgoStep.of(ego, static_mps, last_mps, dt)
+        resized = None
+        if observation.heights_px:
+            resized = self._resized(track_id, measured, observation.heights_px, time_s)
         is_hidden = np.array(False)
         if observation.is_hidden is not None:
             is_hidden = observation.is_hidden
@@ -194,7 +203,27 @@ class DistanceFilters:
             is_hidden=is_hidden,
             prior=self._models.prior(class_id, may_be_static),
             slides=bank.slides(observation.cut),
+            resized=resized,
         )
+
+    def _resized(
+        self,
+        track_id: IntArray,
+        measured: MeasuredDistances,
+        heights_px: Mapping[str, FloatArray],
+        time_s: float,
+    ) -> FloatArray:
+        """(M, 1, N) factors of the believed sizes since the previous frame."""
+        nan = np.full(len(track_id), np.nan)
+        height_px = np.array([heights_px.get(name, nan) for name in self._fractions])
+        factor = self._sizes.update(
+            track_id,
+            measured.distance_m[:, 0] * height_px,
+            time_s,
+            independent=measured.independent[:, 0],
+            systematic=measured.systematic[:, 0],
+        )
+        return factor[:, None]
 
     def _condition(self, observation: Observation, n: int) -> FloatArray:
         """(M, 1, N) codes of the conditions of the measurements; NaN = not given."""

@@ -233,6 +233,13 @@ class FilterBank(NamedTuple):
             edge_variance=edge_variance,
         )
 
+    def resize(self, step: FilterStep) -> FilterBank:
+        """The state in the scale of this frame's believed sizes."""
+        if step.resized is None:
+            return self
+        key = None if self.key is None else self.key.scaled(step.resized)
+        return self._replace(motion=self.motion.scaled(step.resized), key=key)
+
     def _moved(
         self, step: FilterStep
     ) -> tuple[ConstantVelocity, SideState | None, FloatArray | float]:

@@ -54,6 +54,13 @@ class KeyDistance(NamedTuple):
         """The state after `dt` seconds."""
         return self._replace(P_dr=self.P_dr + dt * self.P_vr)
 
+    def scaled(self, factor: FloatArray) -> KeyDistance:
+        """The state of both distances times a factor."""
+        squared = factor * factor
+        return KeyDistance(
+            self.r * factor, self.P_dr * squared, self.P_vr * squared, self.P_rr * squared
+        )
+
     def step(self, d: FloatArray, variance: FloatArray) -> KeyDistance:
         """The state after a relative step of both distances, which adds `variance` to the variance
         of d.

@@ -34,6 +34,9 @@ class Observation:
     is_hidden: BoolArray | None = None
     # growth of the tracks in the images, not used of boxes that are cut; None = not measured
     growth: Growth | None = None
+    # (N,) heights of the boxes in px, by method whose distances are by an assumed size; NaN = of no
+    # rigid object, or by another scale
+    heights_px: Mapping[str, FloatArray] = field(default_factory=dict)
     # (N,) road class of each track, whose motion is learnt; None = all are cars
     class_id: IntArray | None = None
     # (N,) False = the track certainly moves; None = all may be static
@@ -90,3 +93,5 @@ class FilterStep:
     is_hidden: BoolArray  # () or (N,)
     prior: FloatArray  # (M, G, N) probabilities of the models of a new track
     slides: BoolArray  # (M, G, N) whether the box is cut, or was in the previous frame
+    # (M, 1, N) factors of the believed sizes since the previous frame; None = no size is assumed
+    resized: FloatArray | None = None

@@ -18,6 +18,11 @@ The speed is the mean over these, 0, |x'| and |(u_M, x')|, and its variance cont
 differences. A wrong size scales the motion across the axis, too, of objects at rest if the camera
 moves to its right: the variance of its speed U and s^2 (x' - U)^2 are part of B, with the systematic
 error s of the distance.
+
+The probabilities of the states are those of R + S, and of C and both parts of M times the fractions
+of their velocities (Gaussians) that point along the drive, against it, and across. The sigmas of
+the ego speed and of the size are part of A, so that neither makes a car oncoming. The filter has
+weighed all frames so far in q: the probabilities of a frame are not multiplied over time.
 """
 
 from __future__ import annotations
@@ -27,6 +32,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
+from scipy.special import ndtr
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import FloatArray, IntArray
@@ -50,13 +56,17 @@ _MIN_MOVING = 1e-3  # smallest q, against a division by zero
 _MOVING_MPS, _WALKING_MPS = 8.0, 1.5  # M of vehicles and of people
 _ACROSS_MPS, _ALONG_FRACTION = 0.3, 0.75  # m, and the fraction of moving objects along the road
 
-_MAX_LOG_RATIO = 100.0  # against an overflow
 _REST_SIGMA_MPS = STATIC_RATE_SIGMA_MPS  # of the speed of an object at rest, as in the filter
 _UNKNOWN_EGO_SIGMA_MPS = 0.1  # sigma_V of an ego speed without one
 _MAX_SIGMA_MPS = 3.0  # largest standard deviation of a reported speed
-_SURE = 0.8  # probability of rest or of motion that changes the state
-_HOLD_S = 0.3  # time for which the condition of a change must hold
-_MARGIN_RAD = math.radians(10.0)  # beyond 45 degrees at which the direction changes
+# probability from which a state is stated, after this time, and below which it is so no longer
+_SURE, _HOLD_S, _KEPT = 0.8, 0.3, 0.5
+# time constant with which a state is forgotten while the ego speed is not measured
+_FORGET_S = 20.0
+_STATES_MIXED = 1.0 / len(MOTION_STATES)  # probability of each state if nothing is known
+# (Q, 1, 1) nodes in standard deviations, and their weights, for the mean over a Gaussian
+_NODES = np.linspace(-3.2, 3.2, 17)[:, None, None]
+_NODE_WEIGHTS = np.exp(-(_NODES**2) / 2) / np.exp(-(_NODES**2) / 2).sum()
 _MAX_GAP_S = 1.0  # longest time without a track, after which its state is unknown again
 
 
@@ -70,9 +80,14 @@ class OverGround:
     sigma_mps: FloatArray  # standard deviation of `speed_mps`
     # direction of motion, counterclockwise from the camera's optical axis; NaN also at rest
     heading_rad: FloatArray
-    moving: FloatArray  # probability that the object moves, 0..1
+    states: FloatArray  # (4, N) probabilities of `MOTION_STATES`
     along_mps: FloatArray  # u, if it moves
     right_mps: FloatArray  # x'
+
+    @property
+    def moving(self) -> FloatArray:
+        """(N,) probability that the object moves, 0..1."""
+        return 1.0 - self.states[_PARKED]
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +103,7 @@ class ObjectMotion:
             filtered distance.
         world_y_m: the same along y.
         state: index into `MOTION_STATES`.
+        state_probability: probability that the state is right.
     """
 
     speed_mps: FloatArray
@@ -96,6 +112,7 @@ class ObjectMotion:
     world_x_m: FloatArray
     world_y_m: FloatArray
     state: FloatArray
+    state_probability: FloatArray
 
     @classmethod
     def unknown(cls, n: int) -> ObjectMotion:
@@ -104,13 +121,18 @@ class ObjectMotion:
 
 
 def over_ground(
-    motion: FilteredRanges, lateral: LateralMotion, class_id: IntArray, ego: EgoMotion
+    motion: FilteredRanges,
+    lateral: LateralMotion,
+    class_id: IntArray,
+    ego: EgoMotion,
+    axis_rad: float = 0.0,
 ) -> OverGround:
     """Motion over ground of N tracks of road classes `class_id` (N,), from their filtered distances
     and positions.
 
     `motion` and `lateral` are of one frame; the lateral filter must know the yaw rate of `ego`,
     too. Speeds are NaN without an ego speed, and where their standard deviation is above 3 m/s.
+    `axis_rad` is the direction of the axis from that of the drive, positive = to the left.
     """
     d, v, x = motion.state.x, motion.state.v, lateral.state
     V, sigma_V = ego.speed_mps, ego.speed_sigma_mps
@@ -132,36 +154,69 @@ def over_ground(
     M = np.where(is_person, _WALKING_MPS, _MOVING_MPS)
     stopped = q * _STOPPED * np.exp(-_log_ratio(u_M, A, M))
     c = np.where(is_person, _WALKER_CROSSING, _CROSSING)
-    L_m, L_M = np.exp(_log_ratio(right, B, _ACROSS_MPS)), np.exp(_log_ratio(right, B, M))
-    p = np.stack(
-        [
-            (1 - q) * (1 - c) + stopped,
-            (1 - q) * c * L_M,
-            q * (_ALONG_FRACTION * L_m + (1 - _ALONG_FRACTION) * L_M),
-        ]
+    log_m, log_M = _log_ratio(right, B, _ACROSS_MPS), _log_ratio(right, B, M)
+    largest = np.maximum(np.maximum(log_m, log_M), 0.0)  # against an overflow
+    L_m, L_M = np.exp(log_m - largest), np.exp(log_M - largest)
+    rest = ((1 - q) * (1 - c) + stopped) * np.exp(-largest)
+    # along the axis with a small or any speed across it, and across it only
+    parts = np.stack(
+        [q * _ALONG_FRACTION * L_m, q * (1 - _ALONG_FRACTION) * L_M, (1 - q) * c * L_M]
     )
-    p = p / p.sum(axis=0)
+    total = rest + parts.sum(axis=0)
+    rest, parts = rest / total, parts / total
+    shrink = np.stack([_ACROSS_MPS**2 / (_ACROSS_MPS**2 + B), *[M**2 / (M**2 + B)] * 2])
+    velocity = np.stack([u_M, u_M, 0 * u_M]), shrink * right
+    variances = np.stack([A, A, 0 * A + _REST_SIGMA_MPS**2]), shrink * B
+    directions = _directions(velocity, variances, axis_rad)
+
+    p = np.stack([rest, parts[2], parts[0] + parts[1]])
     w = np.stack([np.zeros_like(u), np.abs(right), np.hypot(u_M, right)])
     along_variance = (u_M**2 * A + right**2 * B) / np.maximum(w[2], 1e-6) ** 2
     variance = np.stack([np.full_like(u, _REST_SIGMA_MPS**2), B, along_variance])
     speed_mps = (p * w).sum(axis=0)
     sigma_mps = np.sqrt((p * (variance + (w - speed_mps) ** 2)).sum(axis=0))
-    is_known = sigma_mps <= _MAX_SIGMA_MPS  # False for NaN
-    moving = np.where(is_known, p[1] + p[2], np.nan)
-    u_M = u_M * p[2] / (p[1] + p[2])
-    speed_mps, sigma_mps = (
-        np.where(is_known, speed_mps, np.nan),
-        np.where(is_known, sigma_mps, np.nan),
+    unknown = np.where(sigma_mps <= _MAX_SIGMA_MPS, 0.0, np.nan)  # NaN for a sigma of NaN
+    along_mps = u_M * p[2] / (p[1] + p[2])
+    heading_rad = np.where(rest <= 0.5, np.arctan2(-right, along_mps), np.nan)
+    return OverGround(
+        speed_mps + unknown,
+        sigma_mps + unknown,
+        heading_rad + unknown,
+        np.vstack([rest, (parts * directions).sum(axis=1)]),
+        along_mps,
+        right,
     )
-    heading_rad = np.where(moving >= 0.5, np.arctan2(-right, u_M), np.nan)
-    return OverGround(speed_mps, sigma_mps, heading_rad, moving, u_M, right)
+
+
+def _directions(
+    velocity: tuple[FloatArray, FloatArray],
+    variances: tuple[FloatArray, FloatArray],
+    axis_rad: float,
+) -> FloatArray:
+    """(3, K, N) probabilities that velocities point along the drive, against it, and across.
+
+    The velocities and their variances, (K, N) each, are along the camera's axis and to the right of
+    it, Gaussian and independent.
+    """
+    c, s = math.cos(axis_rad), math.sin(axis_rad)
+    (along, right), (along_variance, right_variance) = velocity, variances
+    forward, left = c * along + s * right, s * along - c * right
+    forward_variance = c * c * along_variance + s * s * right_variance
+    covariance = c * s * (along_variance - right_variance)
+    # of the speed to the left, given the one forward
+    left_sigma = np.sqrt(along_variance * right_variance / forward_variance)
+    step = _NODES * np.sqrt(forward_variance)
+    at, left = forward + step, left + step * covariance / forward_variance
+    within = ndtr((np.abs(at) - left) / left_sigma) - ndtr((-np.abs(at) - left) / left_sigma)
+    within *= _NODE_WEIGHTS
+    ahead, against = (within * (at > 0)).sum(axis=0), (within * (at <= 0)).sum(axis=0)
+    return np.stack([ahead, against, 1.0 - ahead - against])
 
 
 def _log_ratio(rate: FloatArray, variance: FloatArray, sigma: FloatArray | float) -> FloatArray:
     """(N,) log N(rate; variance + sigma^2) / N(rate; variance)."""
     total = variance + sigma**2
-    ratio = (rate**2 * (1 / variance - 1 / total) - np.log(total / variance)) / 2
-    return np.asarray(np.minimum(ratio, _MAX_LOG_RATIO))
+    return np.asarray((rate**2 * (1 / variance - 1 / total) - np.log(total / variance)) / 2)
 
 
 class ObjectMotions:
@@ -172,8 +227,8 @@ class ObjectMotions:
         left, since states are relative to the drive.
         """
         self._axis_rad = axis_rad
-        # state, next state, since when its condition holds, time
-        self._tracks = TrackState(np.full(4, np.nan))
+        # probabilities of the states, state, next state, since when it is sure, time
+        self._tracks = TrackState(np.full(len(MOTION_STATES) + 4, np.nan))
 
     def update(
         self,
@@ -189,34 +244,41 @@ class ObjectMotions:
         """Motion of N tracks (N,) of one frame at `time_s`, with the motion and the pose of the
         camera.
         """
-        ground = over_ground(motion, lateral, class_id, ego)
+        ground = over_ground(motion, lateral, class_id, ego, self._axis_rad)
         x_m, y_m = pose.to_world(motion.state.x, lateral.state.x)
         heading_rad = ground.heading_rad + pose.heading_rad
         heading_deg = np.degrees(np.arctan2(np.sin(heading_rad), np.cos(heading_rad)))
-        state = self._state(track_id, ground, time_s)
-        return ObjectMotion(ground.speed_mps, ground.sigma_mps, heading_deg, x_m, y_m, state)
-
-    def _state(self, track_id: IntArray, ground: OverGround, time_s: float) -> FloatArray:
-        """(N,) states after this frame: a change needs a sure probability and a clear direction for
-        some time.
-        """
-        last, pending, since_s, _ = self._tracks.get(track_id)
-        p = ground.moving
-        angle = np.arctan2(-ground.right_mps, ground.along_mps) + self._axis_rad
-        angle = np.abs(np.arctan2(np.sin(angle), np.cos(angle)))
-        n_directions = len(MOTION_STATES) - 1
-        directions = np.stack(
-            [np.zeros_like(p), np.full_like(p, np.pi), np.full_like(p, np.pi / 2)]
+        shown = np.full_like(ground.states, np.nan) if ego.is_predicted else ground.states
+        state, probability = self._stated(track_id, shown, time_s)
+        return ObjectMotion(
+            ground.speed_mps, ground.sigma_mps, heading_deg, x_m, y_m, state, probability
         )
-        away = np.abs(angle - directions)  # from along, against and across
-        away[np.arange(n_directions)[:, None] == last - 1] -= _MARGIN_RAD
-        target = 1.0 + away.argmin(axis=0)
-        target = np.where(p >= _SURE, target, np.where(p <= 1 - _SURE, _PARKED, last))
-        target = np.where(np.isnan(p), last, target)
+
+    def _stated(
+        self, track_id: IntArray, shown: FloatArray, time_s: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """(N,) states after this frame, and their probabilities: sure ones for some time, until
+        they are less probable than the others together.
+
+        `shown` (4, N) are the probabilities by this frame; NaN = it shows nothing.
+        """
+        columns = self._tracks.get(track_id)
+        before, (last, pending, since_s, last_s) = columns[:-4], columns[-4:]
+        forgotten = np.exp((last_s - time_s) / _FORGET_S)
+        held = _STATES_MIXED + (before - _STATES_MIXED) * forgotten
+        is_shown = np.isfinite(shown).all(axis=0)
+        p = np.where(is_shown, shown, held)
+        best = np.nan_to_num(p).argmax(axis=0)
+        is_sure = is_shown & (p.max(axis=0) >= _SURE)
+        target = np.where(is_sure, best, np.nan)
         since_s = np.where(target == pending, since_s, time_s)
-        changes = (target != last) & (time_s - since_s >= _HOLD_S - 1e-9)
-        state = np.where(changes, target, last)
-        is_recent = time_s - self._tracks.known[3] <= _MAX_GAP_S
-        new = np.stack([state, target, since_s, np.full(len(p), time_s)])
+        is_stated = is_sure & (time_s - since_s >= _HOLD_S - 1e-9)
+        state = np.where(is_stated, target, last)
+        index = np.nan_to_num(state).astype(np.int64)
+        probability = np.take_along_axis(p, index[None], axis=0)[0]
+        is_kept = np.isfinite(state) & (probability >= _KEPT)
+        state, probability = np.where(is_kept, [state, probability], np.nan)
+        is_recent = time_s - self._tracks.known[-1] <= _MAX_GAP_S
+        new = np.vstack([p, state, target, since_s, np.full(len(state), time_s)])
         self._tracks.put(track_id, new, keep_known=is_recent)
-        return state
+        return state, probability

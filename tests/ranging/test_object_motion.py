@@ -135,18 +135,77 @@ def test_states(rate_mps, right_mps, state):
 
 
 def test_a_state_changes_only_after_a_while():
+    """In the doubt between two states none is stated."""
     parked, moving = [-10.0] * 6, [-5.0] * 2
     states, _ = states_of([*parked, *moving, *parked], [0.0] * 14)
-    assert set(states[3:]) == {"parked"}
+    assert states[3:] == [*["parked"] * 3, *[None] * 5, *["parked"] * 3]
     states, _ = states_of([*parked, *moving, *moving], [0.0] * 10)
-    assert states[-2:] == ["parked", "moving"]
+    assert states[5:] == ["parked", None, None, None, "moving"]
 
 
-def test_directions_have_a_margin():
-    angle = np.radians(50.0)  # just across; a car that moves along stays so
+def test_a_direction_between_two_states_is_not_stated():
+    angle = np.radians(45.0)
     along, across = 8 * np.cos(angle) - EGO_MPS, 8 * np.sin(angle)
-    assert states_of([-2.0] * 6 + [along] * 6, [0.0] * 6 + [across] * 6)[0][-1] == "moving"
-    assert states_of([along] * 6, [across] * 6)[0][-1] == "crossing"
+    assert set(states_of([along] * 6, [across] * 6)[0]) == {None}
+    assert states_of([along] * 6, [4 * across] * 6)[0][-1] == "crossing"
+
+
+@pytest.mark.parametrize("axis_rad", [0.0, -1.0])
+def test_directions_are_the_fractions_of_the_velocities(axis_rad):
+    """Against a sample of velocities of both axes of the camera."""
+    mean, sigma = np.array([-1.0, 0.8]), np.array([1.5, 0.7])
+    rates_mps = [mean[0] - EGO_MPS]
+    motion = motion_of(rates_mps, sigma_m=0.0, rate_sigma_mps=sigma[0], static=[0.0])
+    ego, car = EgoMotion(EGO_MPS, 1e-3), np.array([CAR])
+    lateral = lateral_of([mean[1]], sigma_mps=sigma[1] / math.sqrt(2.0))
+    found = over_ground(motion, lateral, car, ego, axis_rad).states[1:, 0]
+    along, right = np.random.default_rng(0).normal(mean, sigma, (100_000, 2)).T
+    # three quarters of the objects hardly move across the axis, as the likelihoods say
+    B, m, M = sigma[1] ** 2, 0.3, 8.0
+    weights = [
+        share * math.exp(-(mean[1] ** 2) / 2 / (B + a**2)) / math.sqrt(B + a**2)
+        for share, a in ((0.75, m), (0.25, M))
+    ]
+    expected = np.zeros(3)
+    for weight, a in zip(weights, (m, M), strict=True):
+        shrink = a**2 / (a**2 + B)
+        across = shrink * mean[1] + math.sqrt(shrink) * (right - mean[1])
+        forward = math.cos(axis_rad) * along + math.sin(axis_rad) * across
+        left = math.sin(axis_rad) * along - math.cos(axis_rad) * across
+        ahead, against = (forward > np.abs(left)).mean(), (forward < -np.abs(left)).mean()
+        expected += weight * np.array([ahead, against, 1.0 - ahead - against])
+    assert found / found.sum() == pytest.approx(expected / sum(weights), abs=0.02)
+
+
+def test_probabilities_of_the_states_are_those_of_all_cases():
+    ground = ground_of([-10.0, -2.0, -25.0, -9.5], [0.0, 0.2, 0.1, -6.0])
+    assert ground.states.sum(axis=0) == pytest.approx(1.0)
+    assert ground.states.argmax(axis=0).tolist() == [0, 1, 2, 3]
+    assert ground.moving == pytest.approx(1.0 - ground.states[0])
+
+
+def test_errors_of_size_and_of_the_ego_speed_make_no_car_oncoming():
+    """At 20 m/s, a size that is 15 % wrong looks like 3 m/s against the drive."""
+    motion = motion_of([-23.0], distance_m=30.0, sigma_m=30.0 * 0.15, static=[0.0])
+    car, lateral = np.array([CAR]), lateral_of([0.0])
+    exact = motion_of([-23.0], distance_m=30.0, sigma_m=0.3, static=[0.0])
+    assert over_ground(exact, lateral, car, EgoMotion(20.0, 0.1)).states[2, 0] > 0.9
+    assert over_ground(motion, lateral, car, EgoMotion(20.0, 0.1)).states[2, 0] < 0.8
+    assert over_ground(exact, lateral, car, EgoMotion(20.0, 3.0)).states[2, 0] < 0.8
+
+
+def test_a_predicted_ego_speed_changes_no_state():
+    motions = ObjectMotions()
+    found = []
+    for i in range(60):
+        predicted = i >= 10
+        ego = EgoMotion(0.0 if predicted else EGO_MPS, 0.1, is_predicted=predicted)
+        arguments = (np.array([4]), np.array([CAR]), motion_of([-2.0]), lateral_of([0.1]), 0.1 * i)
+        found.append(motions.update(*arguments, ego=ego, pose=EgoPose()))
+    assert {MOTION_STATES[int(one.state[0])] for one in found[5:]} == {"moving"}
+    before, after = (one.state_probability[0] for one in (found[9], found[-1]))
+    # the rest of the probability is forgotten over 20 s, 5 s of them here
+    assert after == pytest.approx(0.25 + (before - 0.25) * math.exp(-5.0 / 20.0), abs=1e-3)
 
 
 def test_world_positions_and_headings_turn_with_the_pose():

@@ -72,7 +72,8 @@ MOST_STATEMENTS = {
     # speeds that are lost for seconds (5)
     # plain curves within the fitted distances (8)
     # boxes from before a confirmation as evidence of the lateral speed (28)
-    "ranging": 7_055,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    # changes of a believed size are no motion (41); probabilities of the states of motion (31)
+    "ranging": 7_127,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     "api": 106,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
@@ -93,7 +94,8 @@ MOST_STATEMENTS = {
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (145), several drives together, and intervals of rates (49)
-    "evaluation": 1_740,  # times and region of labelled motion, and every class of nuScenes (10)
+    # states of motion by true state and by probability (48)
+    "evaluation": 1_788,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     "fleet": 3_236,  # what a lost worker counts as is a function that tests call (5)
     # contradictions name their options (9); one registry with priorities and notes (65)
@@ -113,7 +115,8 @@ MOST_STATEMENTS = {
     # speeds by the road without a given height (9)
     # the motion of the vehicle as that of a camera (14), also by the road (9), and visible sides aside (8)
     # the boxes of unconfirmed tracks (5)
-    "pipeline": 912,
+    # heights of boxes for the believed sizes (9), and the probability of a state (1)
+    "pipeline": 922,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120),

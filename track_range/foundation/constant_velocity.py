@@ -35,7 +35,7 @@ class ConstantVelocity:
         """The values in the order of the constructor."""
         return self.x, self.v, self.P_xx, self.P_xv, self.P_vv
 
-    def scaled(self, factor: float) -> ConstantVelocity:
+    def scaled(self, factor: FloatArray | float) -> ConstantVelocity:
         """The states of values times a factor."""
         x, v, *P = self.columns
         return ConstantVelocity(factor * x, factor * v, *(factor**2 * part for part in P))

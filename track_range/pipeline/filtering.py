@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.pipeline.ranging import FrameRanges
 from track_range.ranging.cameras.doubt import Doubt
@@ -31,6 +32,8 @@ _ACROSS_MPS, _ACROSS_SIGMA = 1.0, 3.0
 # error of the lateral speed relative to w z in turns, and to that of the camera, from the error of
 # the distance z
 _SCALE_ERROR = 0.2
+# of the road classes, objects whose height does not change
+_IS_RIGID = np.isin(ROAD_CLASSES, ("car", "truck", "bus", "motorcycle"))
 FUSED_NOISE_FRACTION = (
     0.35  # initial fraction of the fused sigma that is independent between frames
 )
@@ -108,6 +111,9 @@ class FilterStage:
         self._camera, self._has_visible_boxes = camera, has_visible_boxes
         self._is_ahead = looks_ahead(mounting)
         self._distances = DistanceFilters(noise_shares())
+        self._by_size = [
+            method.name for method in methods() if method.is_filtered and method.uses_size_model
+        ]
         self._lateral = LateralFilters(camera, mounting)
 
     def update(
@@ -134,6 +140,7 @@ class FilterStage:
                 cut=CutBoxes.of(tracks, self._camera),
                 is_hidden=self._are_hidden(tracks, fused),
                 growth=measured.growth,
+                heights_px=self._heights_px(tracks, fused),
                 class_id=tracks.class_id,
                 may_be_static=self._may_be_static(tracks, fused.ranges, ego),
             ),
@@ -169,6 +176,16 @@ class FilterStage:
         turned_mps = np.nan_to_num(abs(ego.yaw_rad_s) * fused.distance_m)
         across_mps += _SCALE_ERROR * (turned_mps + np.nan_to_num(abs(ego.right_mps)))
         return np.asarray(~(np.abs(last.v) > across_mps))
+
+    def _heights_px(self, tracks: Tracks, fused: Fused) -> dict[str, FloatArray]:
+        """(N,) heights of the boxes of vehicles, by name of the distances that follow from an
+        assumed size.
+        """
+        is_rigid = tracks.observed & _IS_RIGID[tracks.class_id]
+        height_px = np.where(is_rigid, tracks.xyxy_px[:, 3] - tracks.xyxy_px[:, 1], np.nan)
+        is_assumed = fused.scale_source == ScaleSource.ASSUMED
+        by_size = dict.fromkeys(self._by_size, height_px)
+        return {**by_size, "fused": np.where(is_assumed, height_px, np.nan)}
 
     def _are_hidden(self, tracks: Tracks, fused: Fused) -> BoolArray | None:
         """(N,) whether distances come from boxes with hidden sides; None = no box has any."""

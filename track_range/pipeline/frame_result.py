@@ -47,6 +47,7 @@ class TrackedObject:
         is_observed: False where the box is predicted, without a detection in this frame.
         speed_mps: speed over ground; NaN = unknown.
         state: "parked", "moving", "oncoming", "crossing", or "" = unknown.
+        state_probability: probability that the state is right; NaN = unknown.
         filtered_m: distance filtered over time, `ranges["fused_kf"]` and `fused_kf_m`, in frames
             without a measurement too; NaN = not measured yet.
         filtered_sigma_m: its standard deviation.
@@ -70,6 +71,7 @@ class TrackedObject:
     filtered_sigma_m: float = math.nan
     x_sigma_m: float = math.nan
     y_sigma_m: float = math.nan
+    state_probability: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,6 +154,7 @@ class FrameResult:
             ),
             *(filtered.distance_m.tolist(), filtered.sigma_m.tolist()),
             *self.world.xy_sigma_m.T.tolist(),
+            motion.state_probability.tolist(),
         )
         return tuple(map(TrackedObject, *columns))
 

@@ -115,6 +115,7 @@ def result(frame=4):
                     (20.25, nan),
                     (-3.5, nan),
                     (nan, 0.0),
+                    (nan, 0.96),
                 )
             )
         ),

@@ -30,7 +30,13 @@ def frame(index):
         np.array([index < 5, False]),
     )  # fmt: skip
     motion = ObjectMotion(
-        motion, motion, motion, pair([12.0, NAN]), pair([-3.0 + index, NAN]), pair([3.0, NAN])
+        motion,
+        motion,
+        motion,
+        pair([12.0, NAN]),
+        pair([-3.0 + index, NAN]),
+        pair([3.0, NAN]),
+        pair([0.9, NAN]),
     )
     pose = EgoPose(1.0 * index, 0.0, 0.0, np.zeros((3, 3)))
     time = type(given.frame)(index, index / 10, given.frame.left, None)

@@ -1,6 +1,7 @@
 """Closing speed, speed over ground, time to collision and warnings against labelled motion."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from track_range.evaluation.motion.labelled_motion import kitti_motion, track_sl
 from track_range.evaluation.motion.measured_motion import MeasuredMotion, measured_motion
 from track_range.evaluation.motion.nuscenes import nuscenes_motion
 from track_range.evaluation.motion.scores import motion_figures, speed_figures, ttc_figures
+from track_range.evaluation.motion.states import true_states
 from track_range.evaluation.motion.tusimple import tusimple_motion, velocity_score
 from track_range.foundation.errors import UsageError
 from track_range.ranging.truth.frame_times import ASSUMED_STEP_S, KITTI_STEP_S
@@ -51,6 +53,34 @@ def test_true_motion_is_that_of_the_drive(labels_calib_poses):
     rear_m = 40.0 - 4.0 * ASSUMED_STEP_S * 10
     assert truth.ttc_s[first] == pytest.approx(rear_m / 4.0, rel=2e-3)
     assert truth.duration_s == pytest.approx(N_FRAMES * ASSUMED_STEP_S)
+
+
+def test_states_of_the_drive(labels_calib_poses):
+    truth = kitti_motion(*labels_calib_poses)
+    is_parked, known = truth.boxes.track_id == 1, np.isfinite(truth.speed_mps)
+    assert (true_states(truth)[known & is_parked] == 0).all()
+    assert (true_states(truth)[known & ~is_parked] == 1).all()
+    assert truth.heading_rad[known & ~is_parked] == pytest.approx(0.0, abs=1e-3)
+    figures = motion_figures(truth, measured_motion(truth, "mono"))["states"]["vehicles"]
+    assert figures["n"] == known.sum()
+    assert figures["coverage"] > 0.7
+    assert figures["wrong"] == 0.0
+    assert figures["by_true_state"]["parked"]["parked"] == 1.0
+    assert figures["by_true_state"]["oncoming"]["n"] == 0
+    sure = figures["reliability"]["0.99-1"]
+    assert sure["right"] == 1.0
+    assert 0.99 <= sure["stated"] <= 1.0
+
+
+def test_true_states_by_direction(labels_calib_poses):
+    """The heading counts from the drive, 45 degrees to either side; slow objects are parked."""
+    truth = kitti_motion(*labels_calib_poses)
+    degrees = np.resize([0.0, 44.0, -46.0, 134.0, 136.0, 180.0], len(truth.boxes))
+    speed_mps = np.resize([1.0, 1.0, 1.0, 1.0, 1.0, 0.6, *[0.4] * 5, np.nan], len(truth.boxes))
+    moved = replace(truth, heading_rad=np.radians(degrees), speed_mps=speed_mps)
+    states = true_states(moved)
+    assert states[:11].tolist() == [1, 1, 3, 3, 2, 2, 0, 0, 0, 0, 0]
+    assert np.isnan(states[11])
 
 
 def test_yaw_of_the_camera_is_no_speed_of_objects(labels_calib_poses):
@@ -214,7 +244,7 @@ def test_false_alarms_by_cause(labels_calib_poses):
     nan = np.full(len(boxes), np.nan)
     alarm = (boxes.frame >= 10) & (boxes.frame < 20)
     alarm &= (boxes.track_id == 1) | (boxes.frame != 15)  # two alarms for the car ahead
-    found = MeasuredMotion(alarm, true_m, closing, 0.5 + 0 * true_m, nan, nan, nan)
+    found = MeasuredMotion(alarm, true_m, closing, 0.5 + 0 * true_m, *[nan] * 5)
     figures = motion_figures(truth, found)["warnings"]
     assert figures["false_alarms"] == 3
     assert figures["by_cause"] == {"driver": 2, "wrong path": 1}

@@ -30,7 +30,7 @@ def moved(index, *, state="moving", x_m=(30.0, 60.0), heading_deg=0.0):
     pair = np.array
     motion = ObjectMotion(
         pair([8.0, np.nan]), pair([0.4, np.nan]), pair([heading_deg, np.nan]), pair(x_m), pair([2.0, 3.0]),
-        pair([float(MOTION_STATES.index(state)), np.nan]),
+        pair([float(MOTION_STATES.index(state)), np.nan]), pair([0.9, np.nan]),
     )  # fmt: skip
     pose = EgoPose(1.0 * index, 0.0, 0.0, np.zeros((3, 3)))
     return changed(

@@ -42,6 +42,8 @@ class LabelledMotion:
     boxes: BoxSet
     closing_mps: FloatArray  # (N,) true closing speed; NaN = unknown
     speed_mps: FloatArray  # (N,) true speed over ground; NaN = unknown
+    # (N,) true direction of the motion, counterclockwise from the camera's axis; NaN = unknown
+    heading_rad: FloatArray
     ego_mps: FloatArray  # (N,) speed of the camera along its axis
     right_mps: FloatArray  # (N,) its speed to the right of the axis
     yaw_rad_s: FloatArray  # (N,) its yaw rate, positive = to the right
@@ -63,6 +65,14 @@ class LabelledMotion:
     def are_ahead(self) -> BoolArray:
         """(S,) whether the camera of each sequence looks along the drive."""
         return np.array([looks_ahead(self.mounting(s)) for s in range(len(self.duration_s))])
+
+    @property
+    def axis_rad(self) -> FloatArray:
+        """(S,) direction of the camera's axis from that of the drive, positive = to the left; 0 =
+        unknown.
+        """
+        mountings = map(self.mounting, range(len(self.duration_s)))
+        return np.radians([0.0 if one is None else one.yaw_deg for one in mountings])
 
     def mounting(self, sequence: int) -> Mounting | None:
         """Where the camera of a sequence looks, from the way that it moves, which is that of a
@@ -97,7 +107,7 @@ def kitti_motion(
     measured = box_set(
         labels, calib, boxes=boxes, noise_px=noise_px, seed=seed, selection=selection
     )
-    camera = np.full((len(measured), 3), np.nan)
+    camera = np.full((len(measured), 4), np.nan)
     position_m = np.full((len(every), 2), np.nan)
     duration_s = np.zeros(len(every.sequence_names))
     for number, name in enumerate(every.sequence_names):
@@ -124,10 +134,12 @@ def kitti_motion(
     slopes = track_slopes(np.stack([every.sequence, every.track_id]), every.time_s, values)
     row_of = {key: row for row, key in enumerate(_keys(every))}
     index = np.array([row_of[key] for key in _keys(measured)], np.int64)
+    right_mps, forward_mps = slopes[index, 1:].T
     return LabelledMotion(
         boxes=measured,
         closing_mps=-slopes[index, 0],
-        speed_mps=np.hypot(*slopes[index, 1:].T),
+        speed_mps=np.hypot(right_mps, forward_mps),
+        heading_rad=camera[:, 3] - np.arctan2(right_mps, forward_mps),
         ego_mps=camera[:, 0],
         right_mps=camera[:, 1],
         yaw_rad_s=camera[:, 2],
@@ -160,8 +172,8 @@ def read_poses(path: Path) -> FloatArray:
 
 
 def _camera_motion(pose: FloatArray, time_s: FloatArray) -> FloatArray:
-    """(N, 3) speeds along the camera's axis and to the right of it, and yaw rates (positive = to
-    the right), from (N, 3, 4) poses at the times (N,).
+    """(N, 4) speeds along the camera's axis and to the right of it, yaw rates and directions of the
+    axis (positive = to the right), from (N, 3, 4) poses at the times (N,).
     """
     n, axis = len(pose), pose[:, :, 2]
     heading_rad = np.unwrap(np.arctan2(axis[:, 0], axis[:, 2]))
@@ -171,7 +183,7 @@ def _camera_motion(pose: FloatArray, time_s: FloatArray) -> FloatArray:
     )
     speed_mps = (slopes[:, :3] * axis).sum(axis=1)
     right_mps = (slopes[:, :3] * pose[:, :, 0]).sum(axis=1)
-    return np.column_stack([speed_mps, right_mps, slopes[:, 3]])
+    return np.column_stack([speed_mps, right_mps, slopes[:, 3], heading_rad])
 
 
 def track_slopes(

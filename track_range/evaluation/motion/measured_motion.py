@@ -29,7 +29,8 @@ from track_range.ranging.filtering.lateral_motion import LateralMotion
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.truth.errors import MethodColumn
 from track_range.ranging.warning.collision_warning import CollisionWarning
-from track_range.ranging.world.object_motion import over_ground
+from track_range.ranging.world.ego_path import EgoPose
+from track_range.ranging.world.object_motion import ObjectMotions
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.tracks import Tracks
 
@@ -81,6 +82,8 @@ class MeasuredMotion:
     ttc_s: FloatArray
     speed_mps: FloatArray  # over ground
     speed_sigma_mps: FloatArray
+    state: FloatArray  # index into `MOTION_STATES`
+    state_probability: FloatArray
 
 
 def measured_motion(
@@ -104,9 +107,12 @@ def measured_motion(
         )
     boxes = motion.boxes
     columns = measured_by(names, boxes, boxes, options)
-    values, is_alarm = np.full((6, len(boxes)), np.nan), np.zeros(len(boxes), np.bool_)
+    values, is_alarm = np.full((8, len(boxes)), np.nan), np.zeros(len(boxes), np.bool_)
     forward = np.full((6, len(boxes)), np.nan)
     warnings = {number: CollisionWarning() for number in np.flatnonzero(motion.are_ahead).tolist()}
+    motions = {
+        number: ObjectMotions(axis_rad) for number, axis_rad in enumerate(motion.axis_rad.tolist())
+    }
     for rows, tracks, ego, state, lateral in _filtered(motion, columns, is_ego_known):
         sequence = int(boxes.sequence[rows[0]])
         time_s = float(boxes.time_s[rows[0]])
@@ -115,9 +121,12 @@ def measured_motion(
                 tracks, state, lateral, time_s, ego_mps=ego.speed_mps, yaw_rad_s=ego.yaw_rad_s
             )
             is_alarm[rows] = alarm.active
-        ground = over_ground(state, lateral, tracks.class_id, ego)
+        world = motions[sequence].update(
+            tracks.track_id, tracks.class_id, state, lateral, time_s, ego=ego, pose=EgoPose()
+        )
         closing = (-state.rate_mps, state.rate_sigma_mps, state.ttc_s)
-        values[:, rows] = state.ranges.distance_m, *closing, ground.speed_mps, ground.sigma_mps
+        speed = (world.speed_mps, world.speed_sigma_mps, world.state, world.state_probability)
+        values[:, rows] = state.ranges.distance_m, *closing, *speed
         forward[:, rows] = _state(state)
     if look_ahead:
         values[1:4] = _with_look_ahead(motion, columns, is_ego_known, forward)

@@ -147,6 +147,7 @@ def nuscenes_motion(path: Path, *, noise_px: float = 0.0, seed: int = 0) -> Labe
         boxes=boxes.with_noise(noise_px, seed=seed) if noise_px > 0 else boxes,
         closing_mps=ego_mps - own_mps[:, 1] - yaw_rad_s * boxes.x_m,
         speed_mps=np.where(np.isfinite(ego_mps), np.hypot(*own_mps.T), np.nan),
+        heading_rad=np.arctan2(-own_mps[:, 0], own_mps[:, 1]),
         ego_mps=ego_mps,
         right_mps=right_mps,
         yaw_rad_s=yaw_rad_s,

@@ -17,6 +17,7 @@ import numpy as np
 
 from track_range.evaluation.motion.labelled_motion import LabelledMotion
 from track_range.evaluation.motion.measured_motion import MeasuredMotion
+from track_range.evaluation.motion.states import state_figures
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.poisson import rate_interval
 from track_range.ranging.truth.errors import fraction, within_sigmas
@@ -38,6 +39,7 @@ def motion_figures(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str,
     return {
         **_by_band_and_class(truth, closing),
         "speed": _by_band_and_class(truth, speed),
+        "states": state_figures(truth, measured),
         "ttc": {
             f"below_{limit}_s": ttc_figures(measured.ttc_s, truth.ttc_s, limit) for limit in (6, 20)
         },

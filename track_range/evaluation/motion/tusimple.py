@@ -57,11 +57,11 @@ def tusimple_motion(folder: Path) -> tuple[LabelledMotion, MeasuredMotion, dict[
     duration_s = np.array([_STEP_S * sum(len(_images(clip)) for clip in clips)])
     protocol = "velocities of the labels in the last image of each clip"
     truth = LabelledMotion(
-        vehicle_boxes(labels, clip), -velocity_mps[:, 0], nan, nan, nan, nan, duration_s, protocol
+        vehicle_boxes(labels, clip), -velocity_mps[:, 0], *[nan] * 5, duration_s, protocol
     )
     distance_m, closing_mps, sigma_mps, ttc_s, lateral_mps = measured.T
     answers = MeasuredMotion(
-        np.zeros(len(labels), np.bool_), distance_m, closing_mps, sigma_mps, ttc_s, nan, nan
+        np.zeros(len(labels), np.bool_), distance_m, closing_mps, sigma_mps, ttc_s, *[nan] * 4
     )
     answer_mps = np.nan_to_num(np.stack([-closing_mps, lateral_mps], axis=1))
     return truth, answers, velocity_score(answer_mps, velocity_mps, position_m)

@@ -177,10 +177,17 @@ _MOTION = (
         "",
         "world.motion.state",
         "`parked` (at rest), `moving` (in the direction of the ego vehicle), `oncoming`, "
-        "`crossing`; empty = unknown. The state changes when another state has been certain for "
-        "0.3 s",
+        "`crossing`; empty = unknown. A state is stated once its probability has been at least 0.8 "
+        "for 0.3 s, and until it falls below 0.5",
         "name",
         names=MOTION_STATES,
+    ),
+    ResultColumn(
+        "state_probability",
+        "",
+        "world.motion.state_probability",
+        "probability that `state` is right, 0.5 to 1",
+        decimals=4,
     ),
 )
 

@@ -120,7 +120,7 @@ def test_pet_of_an_event_is_known_at_the_end() -> None:
         person = Seen(
             distance_m=40.0 - min(i, 30), class_id=PERSON, closing_mps=10.0, active=5 <= i < 20
         )
-        motion = ObjectMotion(nan, nan, nan, np.array([40.0]), np.array([-4.0 + 0.2 * i]), nan)
+        motion = ObjectMotion(nan, nan, nan, np.array([40.0]), np.array([-4.0 + 0.2 * i]), nan, nan)
         pose = EgoPose(float(i), 0.0, 0.0, np.zeros((3, 3)))
         for event in finder.update(changed(frame(i, person), motion=motion, ego_pose=pose)):
             assert math.isnan(event.pet_s)  # the camera is not there yet
