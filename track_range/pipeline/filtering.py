@@ -18,7 +18,7 @@ from track_range.ranging.fusion.fusion import Fused, ScaleSource
 from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.registry import methods
-from track_range.ranging.size_models.size_model import have_hidden_sides
+from track_range.ranging.size_models.size_model import BORDER_PX, have_hidden_sides
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.mounting import Mounting, looks_ahead
 from track_range.stereo.odometry.ego_motion import EgoMotion
@@ -181,8 +181,11 @@ class FilterStage:
         """(N,) heights of the boxes of vehicles, by name of the distances that follow from an
         assumed size.
         """
-        is_rigid = tracks.observed & _IS_RIGID[tracks.class_id]
-        height_px = np.where(is_rigid, tracks.xyxy_px[:, 3] - tracks.xyxy_px[:, 1], np.nan)
+        top_px, bottom_px = tracks.xyxy_px[:, 1], tracks.xyxy_px[:, 3]
+        last_px = self._camera.height_px - 1 - BORDER_PX
+        is_whole = tracks.observed & (top_px >= BORDER_PX) & (bottom_px <= last_px)
+        counts = is_whole & _IS_RIGID[tracks.class_id]
+        height_px = np.where(counts, bottom_px - top_px, np.nan)
         is_assumed = fused.scale_source == ScaleSource.ASSUMED
         by_size = dict.fromkeys(self._by_size, height_px)
         return {**by_size, "fused": np.where(is_assumed, height_px, np.nan)}

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.support.results.frame_results import frame_pipeline
+from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.detector import DetectorError
 from track_range.detection.lanes.lines import LaneLine, LaneLines
@@ -60,7 +61,12 @@ def frames(n, dt_s=0.1):
     return (Frame(i, i * dt_s, IMAGE, None) for i in range(n))
 
 
-def pipeline(detect=lambda frame: Detections.of([[49.5, 59.5, 69.5, 79.5]], [0.9], [2]), **options):
+# a box that does not grow, of a sign: distances of vehicles are compared with the heights of their
+# boxes
+SIGN = Detections.of([[49.5, 59.5, 69.5, 79.5]], [0.9], [ROAD_CLASSES.index("traffic sign")])
+
+
+def pipeline(detect=lambda frame: SIGN, **options):
     return frame_pipeline(
         CAMERA,
         detection=DetectionStage(detect=detect),

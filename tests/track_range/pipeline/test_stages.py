@@ -48,6 +48,16 @@ CARS = Tracks(
     np.ones(2, np.bool_),
 )
 NO_BOXES = np.zeros((0, 4))
+
+
+def cars_at(*distance_m):
+    """The cars, 1.5 m high, with boxes as at these distances."""
+    half_px = 50.0 * 1.5 / np.array(distance_m)
+    middle_px = CARS.xyxy_px.reshape(2, 2, 2).mean(axis=1)
+    boxes = np.concatenate([middle_px - half_px[:, None], middle_px + half_px[:, None]], axis=1)
+    return replace(CARS, xyxy_px=boxes)
+
+
 KNOWN = EgoMotion(12.0, 0.2)
 NO_SIGMA = dict.fromkeys(("mono", "fused"), 0.0)
 
@@ -266,10 +276,11 @@ def test_a_wrong_focal_length_stretches_all_stages_alike(factor):
             shown = ego.update(frame(0.1 * k), NO_BOXES, KNOWN, scale=scale)
             # turns are measured in pixels
             motion = replace(shown.motion, yaw_rad_s=0.2 / f)
-            moved = stage.update(CARS, frame_ranges, fused, motion, 0.1 * k).corrected(focal)
+            cars = cars_at(20.0 - k, 30.0)
+            moved = stage.update(cars, frame_ranges, fused, motion, 0.1 * k).corrected(focal)
             distances = reported(frame_ranges, fused, moved, Doubt(shared_sigma=NO_SIGMA), focal)
             true = focal.corrected_motion(motion)
-            placed = world.update(CARS, moved, distances, true, 0.1 * k, focal)
+            placed = world.update(cars, moved, distances, true, 0.1 * k, focal)
         results.append((true, moved, distances, placed))
     (true, moved, distances, placed), (true_f, moved_f, distances_f, placed_f) = results
     assert true_f.speed_mps == pytest.approx(true.speed_mps) == KNOWN.speed_mps
@@ -292,7 +303,8 @@ def test_a_new_focal_length_does_not_change_closing_speeds():
         fused = fusion.fuse(frame_ranges.ranges, IDS, 0.1 * k)
         given = EgoMotion(20.0, 0.2)
         shown = ego.update(frame(0.1 * k), NO_BOXES, given, scale=DriveScale(focal=focal))
-        moved = stage.update(CARS, frame_ranges, fused, shown.motion, 0.1 * k)
+        cars = cars_at(*[40.0 - 0.3 * k] * 2)
+        moved = stage.update(cars, frame_ranges, fused, shown.motion, 0.1 * k)
         closing_mps.append(-moved.fused.rate_mps[0])
     np.testing.assert_allclose(closing_mps[35:], 1.15 * 3.0, atol=0.3)
 
@@ -332,9 +344,10 @@ def test_no_alarm_is_active_while_the_scale_is_in_doubt():
         for k in range(25):
             frame_ranges = measured(mono=ranges(30.0 - k, 60.0, sigma=0.01))
             fused = fusion.fuse(frame_ranges.ranges, IDS, 0.1 * k)
-            motion = filters.update(CARS, frame_ranges, fused, KNOWN, 0.1 * k)
+            cars = cars_at(30.0 - k, 60.0)
+            motion = filters.update(cars, frame_ranges, fused, KNOWN, 0.1 * k)
             approach = Approach.of(motion.fused, 0.0)
-            alarms = stage.update(CARS, fused.ranges, motion, approach, KNOWN, doubt, None, 0.1 * k)
+            alarms = stage.update(cars, fused.ranges, motion, approach, KNOWN, doubt, None, 0.1 * k)
             active |= alarms.warnings.active
         is_active[doubt.scale is None] = active.tolist()
     assert is_active == {True: [True, False], False: [False, False]}
