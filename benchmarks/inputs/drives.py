@@ -61,6 +61,7 @@ COLLISIONS = (
     "rear-braking",
     "crossing-adult",
     "crossing-child",
+    "crossing-car",
     "cut-in",
 )
 """Scenarios with a contact."""

@@ -1,5 +1,9 @@
 """CollisionWarning: probability of contact of all tracks of a video, and an alarm with hysteresis for each.
 
+The motion of a track relative to the ego vehicle and its path predicts a contact (`contact`), the predictions of
+successive frames are the evidence of a sequential test (`sequential_test`), which gives the reported probability and
+starts the alarm.
+
 Speed of the object along the road:    u = v + V    a Kalman filter with the state [u, u'] and the filtered rate v
 Speed of the ego vehicle:              V            another one with the state [V, V']
 Yaw rate of the ego vehicle:           w            another one with the state [w, w']
@@ -13,7 +17,14 @@ coordinates, an object at the distance z, which the ego vehicle reaches after T 
     o = x - V (w T^2 / 2 + w' T^3 / 6)         o' = u_x - (w T + w' T^2 / 2) u
     var o = P_oo + V^2 (P_ww T^4 / 4 + P_ww' T^5 / 6 + P_w'w' T^6 / 36 + q T^7 / 252)
 
-both of which are constant for static objects and for all vehicles that follow the road. Traffic lights and signs have
+The size of an object is wrong by one factor 1 + s as long as it is seen from one side. It moves the
+distance and the lateral offset in proportion, and their rates as well; the rate of a static object
+is the ego speed, whatever its size:
+
+    P_gg += s^2 g^2        P_gv += m s^2 g v        P_vv += m s^2 v^2        m: probability that it moves
+    P_oo += s^2 o^2        P_oo' += s^2 o o'        P_o'o' += s^2 o'^2
+
+o and o' are constant for static objects and for all vehicles that follow the road. Traffic lights and signs have
 no probability of contact: they hang above the road, or are beside it.
 """
 
@@ -38,7 +49,9 @@ from track_range.ranging.warning.contact import (
     needed_deceleration,
     overlap_probability,
     stop_s,
+    yielding_probability,
 )
+from track_range.ranging.warning.sequential_test import calibrated, is_due, posterior, soundness
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.warning.warnings import Warnings
 from track_range.ranging.world.ego_path import UNKNOWN_LATERAL_MPS2, YAW_NOISE_RAD_S
@@ -65,26 +78,24 @@ _CAN_COLLIDE = np.array([name not in ("traffic light", "traffic sign") for name 
 _RATE_FACTOR = 2.0
 # change of an object's speed in standard deviations above which the track now is on another object
 _JUMP_SIGMA = 3.0
-_MAX_SPEED_MPS, _MAX_ACCELERATION_MPS2 = 70.0, 15.0  # of road users; above, the track is wrong
+# of road users, and across the path of vehicles and people; above, the track is wrong
+_MAX_SPEED_MPS, _MAX_ACCELERATION_MPS2 = 70.0, 15.0
+_MAX_LATERAL_MPS, _MAX_RUNNING_MPS = 12.0, 5.0
 _MAX_LAG_S = 0.6  # of a distance filter that is corrected
-# distance from the ego path, in standard deviations, beyond which a vehicle is beside it
+# distance from the ego path, in standard deviations, beyond which a vehicle is beside it, so that it
+# may cut in
 _BESIDE_SIGMA = 2.0
 # static below this speed along the road; prior sigma of moving objects
 _STATIC_MPS, _MOVING_MPS = 2.0, 8.0
-# lateral speed, in sigmas of the prior and its error, above which the prior does not apply
-_GATE_SIGMA = 6.0
+# fraction of objects whose lateral speed is not that of the prior: they cross or turn in; and the prior
+# standard deviations of speeds without a preference, of vehicles and people
+_FREE_FRACTION = 0.1
+_FREE_LATERAL_MPS, _FREE_PERSON_MPS = 6.0, 3.0
+_FREE_ALONG_MPS = 5.0  # the same along the road, of people who ride or run
 # longest time since a vehicle was beside the path for a cut-in, s: that of a slow lane change
 _BESIDE_S = 4.0
 # smallest ego speed of an alarm for a cut-in, m/s; below, vehicles merge closely in queues
 _MIN_CUT_IN_SPEED_MPS = 5.0
-
-_CALIBRATION = (-1.2, 1.8)
-"""Offset and slope of the calibrated logit: even without a reaction, fewer contacts happen than the
-motion predicts.
-
-Fitted on drives without images (seeds 0 to 7, fused: 1.9 h of harmless driving, 0.27 h with
-contacts) and on rendered drives (30 of the seeds 0 to 29, stereo), for the smallest error of the
-reliability diagram above 0.1 on the worse of the two sets."""
 
 _FREE_NOISE, _FREE_SIGMA_MPS = 3.0, 30.0
 """Process noise, m/s per square root of a second, and first standard deviation of rates if all
@@ -95,13 +106,9 @@ _CONFIRMED_SIGMA = 2.0
 _REACH_SIGMA = 3.0  # standard deviations of the gap beyond which an object is out of reach
 
 # The following values were chosen with those of `WarningSettings`, on the same drives.
-_CERTAIN_FRACTION = 0.055  # largest relative standard deviation of a certain distance
 _MIN_OFF_S = 0.5  # shortest time below `off_probability` before the end of an alarm
-# shortest time for which the probability has been known, against tracks of false boxes, and tracks
-# that change to another object; the same for people, who appear from behind parked cars
-_MIN_TRACK_S, _MIN_PERSON_S = 0.5, 0.1
-# largest standard deviation of the closing speed; above, the probability is unknown
-_MAX_CLOSING_SIGMA_MPS = 2.0
+# largest standard deviation of the closing speed, and fraction of it; above both, nothing is predicted
+_MAX_CLOSING_SIGMA_MPS, _MAX_CLOSING_FRACTION = 2.0, 0.35
 # headway below which a vehicle that cuts in starts an alarm, even if it is not slower
 _CUT_IN_HEADWAY_S = 0.6
 # smallest gap of a cut-in; nearer boxes beside the ego vehicle are cut by the image border
@@ -109,8 +116,6 @@ _MIN_CUT_IN_GAP_M = 3.0
 # a vehicle cuts in if it was beside the path and will be in it after this time, with at least this
 # probability, and draws away at most at this speed
 _CUT_IN_AHEAD_S, _CUT_IN_PROBABILITY, _MAX_CUT_IN_MPS = 1.0, 0.8, 1.5
-# time in which the error of a distance changes by its standard deviation, which looks like speed
-_DRIFT_S = 0.6
 _MANOEUVRE_S = 3.0  # time constant with which accelerations end
 # standard deviations until contact: of the relative acceleration, and of the lateral acceleration of
 # people and of all other road users
@@ -190,7 +195,9 @@ class _WarningState(NamedTuple):
     P_dr: FloatArray
     P_rr: FloatArray
     time_s: FloatArray  # of the state
-    certain_s: FloatArray  # since when the probability is known
+    start_s: FloatArray  # time of the first frame on this object
+    contact: FloatArray  # log odds of a contact
+    cut_in: FloatArray  # log odds that the object cuts in
     known_s: FloatArray  # time of the last distance
     beside_s: FloatArray  # last time beside the ego path
     since_s: FloatArray  # since when the condition for the next change of the alarm holds
@@ -275,46 +282,48 @@ class CollisionWarning:
         ego.update(time_s, ego_mps, yaw_rad_s, ego_scale)
         last = _WarningState._make(self._tracks.get(tracks.track_id))
         is_person = tracks.class_id == _PERSON
-        sigma_m = motion.ranges.sigma_m
 
         # Motion of the objects along the road.
         state = self._with_prior_speed(motion.state, is_person)
         is_known = np.isfinite(state.x) & np.isfinite(lateral.state.x)
-        measured = replace(state, P_vv=state.P_vv + (sigma_m / _DRIFT_S) ** 2)
-        own, starts = self._own_motion(measured, last, time_s, is_known)
-        is_certain = state.P_vv <= _MAX_CLOSING_SIGMA_MPS**2
-        is_plausible = (np.abs(own.x) < _MAX_SPEED_MPS) & (np.abs(own.v) < _MAX_ACCELERATION_MPS2)
-        can_collide = lateral.is_current & _CAN_COLLIDE[tracks.class_id]
-        is_usable = is_known & is_certain & is_plausible & can_collide
+        own, starts = self._own_motion(state, last, time_s, is_known)
 
         # Position relative to the ego path.
-        gap = _without_lag(measured, own.v, own.P_vv)
-        offset = self._offset(tracks, gap, lateral.state, sigma_m)
+        scale_variance = _scale_variance(motion)
+        gap = _without_lag(state, own.v, own.P_vv)
+        gap = _with_scale(gap, scale_variance, moving=self._moving(motion))
+        offset = self._offset(tracks, gap, _with_scale(lateral.state, scale_variance))
         half_width_m = lateral.half_width_m + settings.ego_width_m / 2
         is_beside = np.abs(offset.x) > half_width_m + _BESIDE_SIGMA * np.sqrt(offset.P_xx)
         beside_s = np.where(is_known & is_beside, time_s, last.beside_s)
         objects = _Objects(is_person, own, gap, offset, half_width_m, time_s - beside_s)
+        can_collide = lateral.is_current & _CAN_COLLIDE[tracks.class_id]
+        is_usable = is_known & can_collide & _is_plausible(objects)
 
-        # Probability of contact.
-        probability, may_start = self._contacts(objects, is_usable)
+        # Evidence, and what it says together with that of earlier frames.
+        predicted, needed_mps2 = self._predicted(objects, is_usable)
+        start_s = np.where(starts | np.isnan(last.start_s), time_s, last.start_s)
+        sound = np.where(is_person, 1.0, soundness(time_s - start_s))
+        known = np.where(starts, np.nan, np.array([last.contact, last.cut_in]))
+        contact, cut_in = posterior(known, sound * predicted, time_s - last.time_s)
+        log_odds = calibrated(contact)
+        probability = np.where(is_usable, expit(log_odds), np.nan)
 
         # Alarm.
         free = _free_motion(ranges, last, time_s)
-        may_start &= ~(free.v - gap.v > _CONFIRMED_SIGMA * np.sqrt(free.P_vv))  # True for NaN
-        certain_s = np.where(starts, time_s, np.fmin(last.certain_s, time_s))
-        certain_s = np.where(is_usable, certain_s, np.nan)
-        needed_s = np.where(is_person, _MIN_PERSON_S, _MIN_TRACK_S)
-        may_start &= time_s - certain_s >= needed_s - 1e-9
+        is_refuted = free.v - gap.v > _CONFIRMED_SIGMA * np.sqrt(free.P_vv)  # False for NaN
+        may_start = self._may_start(objects, log_odds, needed_mps2)
+        may_start |= cut_in >= logit(_CUT_IN_PROBABILITY)
         may_end = ~(probability >= settings.off_probability)  # True for NaN
-        is_uncertain = sigma_m > _CERTAIN_FRACTION * measured.x
-        is_uncertain |= self._is_beside_or_oncoming(objects)
-        active, since_s = self._alarm(last, time_s, may_start, may_end, is_uncertain)
+        active, since_s = self._alarm(last, time_s, may_start & is_usable & ~is_refuted, may_end)
 
         new = _WarningState(
             *own.columns,
             *free.columns,
             time_s=np.full(len(tracks), time_s),
-            certain_s=certain_s,
+            start_s=start_s,
+            contact=contact,
+            cut_in=cut_in,
             known_s=np.where(is_known, time_s, last.known_s),
             beside_s=beside_s,
             since_s=since_s,
@@ -328,8 +337,15 @@ class CollisionWarning:
         """The distances and rates, with the prior speed of people along the road."""
         if not self._ego.has_speed or not is_person.any():
             return state
-        sigma_mps = np.where(is_person, _PERSON_ALONG_MPS, np.inf)
-        return _with_rate(state, -self._ego.speed_mps, sigma_mps)
+        sigmas_mps = _PERSON_ALONG_MPS, _FREE_ALONG_MPS
+        people = _with_rate(state, -self._ego.speed_mps, *map(np.array, sigmas_mps))
+        return ConstantVelocity(*np.where(is_person, people.columns, state.columns))
+
+    def _moving(self, motion: FilteredRanges) -> FloatArray | float:
+        """(N,) probability that the objects move; 1 = unknown."""
+        if motion.static is None or not self._ego.has_speed:
+            return 1.0
+        return 1.0 - motion.static
 
     def _own_motion(
         self, measured: ConstantVelocity, last: _WarningState, time_s: float, is_known: BoolArray
@@ -352,30 +368,23 @@ class CollisionWarning:
             state = ConstantVelocity(*np.where(starts, initial, state.columns))
         return state, starts
 
-    def _is_beside_or_oncoming(self, objects: _Objects) -> BoolArray:
-        """(N,) whether a vehicle is beside the ego path, or any object comes towards the ego
-        vehicle.
-        """
-        is_beside = np.abs(objects.offset.x) > objects.half_width_m
-        is_uncertain = ~objects.is_person & is_beside
-        if self._ego.has_speed:
-            is_uncertain |= objects.gap.v + self._ego.speed_mps < -_STATIC_MPS
-        return np.asarray(is_uncertain)
+    def _may_start(
+        self, objects: _Objects, log_odds: FloatArray, needed_mps2: FloatArray
+    ) -> BoolArray:
+        """(N,) whether the sequential test is for an alarm, by the log odds of a contact."""
+        settings = self.settings
+        on = np.where(objects.is_person, settings.person_probability, settings.on_probability)
+        is_closing = -objects.gap.v >= settings.min_closing_mps
+        return is_closing & is_due(log_odds, on, needed_mps2, settings.min_deceleration_mps2)
 
     def _alarm(
-        self,
-        last: _WarningState,
-        time_s: float,
-        may_start: BoolArray,
-        may_end: BoolArray,
-        is_uncertain: BoolArray,
+        self, last: _WarningState, time_s: float, may_start: BoolArray, may_end: BoolArray
     ) -> tuple[BoolArray, FloatArray]:
         """Whether each alarm is on, and since when the condition for its next change holds; NaN =
         it does not hold.
         """
         settings, is_on = self.settings, last.is_on > 0
-        needed_s = np.where(is_uncertain, settings.uncertain_on_s, settings.min_on_s)
-        needed_s = np.where(is_on, _MIN_OFF_S, needed_s)
+        needed_s = np.where(is_on, _MIN_OFF_S, max(settings.min_on_s, settings.uncertain_on_s))
         since_s = np.where(
             np.where(is_on, may_end, may_start), np.fmin(last.since_s, time_s), np.nan
         )
@@ -397,34 +406,34 @@ class CollisionWarning:
         )
         return np.asarray(least_m <= _REACH_SIGMA * np.sqrt(variance))
 
-    def _contacts(self, objects: _Objects, is_usable: BoolArray) -> tuple[FloatArray, BoolArray]:
-        """(N,) probability of contact, and whether it or a cut-in may start an alarm.
+    def _predicted(self, objects: _Objects, is_usable: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """(2, N) probabilities of a contact and a cut-in by the motion of this frame, and (N,) the
+        deceleration that the ego vehicle needs.
 
-        The probability is 0 without a computation for objects that are too far away, NaN for those
-        whose motion is not usable.
+        They are 0 without a computation for objects that are too far away, NaN for those whose
+        motion is not usable.
         """
         settings = self.settings
-        probability = np.where(is_usable, 0.0, np.nan)
-        may_start = np.zeros(len(is_usable), np.bool_)
+        predicted = np.where(is_usable, np.zeros((2, len(is_usable))), np.nan)
+        needed_mps2 = np.zeros(len(is_usable))
         near_m = _CUT_IN_HEADWAY_S * self._ego.speed_mps
         is_near = objects.gap.x - settings.front_m < near_m
         rows = np.flatnonzero(is_usable & (self._may_touch(objects.gap, objects.own) | is_near))
-        if not len(rows):
-            return probability, may_start
-        encounter = self._encounter(objects, rows)
-        predicted = contact_probability(
-            encounter,
-            horizon_s=settings.horizon_s,
-            manoeuvre_s=_MANOEUVRE_S,
-            ego_length_m=settings.ego_length_m,
-        )
-        first, slope = _CALIBRATION
-        calibrated = expit(first + slope * logit(np.clip(predicted, 0.0, 1.0)))
-        is_person = objects.is_person[rows]
-        cuts_in = self._cuts_in(encounter, objects.since_beside_s[rows]) & ~is_person
-        probability[rows] = calibrated
-        may_start[rows] = self._may_start(encounter, calibrated, is_person) | cuts_in
-        return probability, may_start
+        if len(rows):
+            encounter = self._encounter(objects, rows)
+            is_person = objects.is_person[rows]
+            if_it_goes_on = contact_probability(
+                encounter,
+                horizon_s=settings.horizon_s,
+                manoeuvre_s=_MANOEUVRE_S,
+                ego_length_m=settings.ego_length_m,
+            )
+            goes_on = np.where(is_person, 1.0, 1.0 - yielding_probability(encounter))
+            predicted[0, rows] = if_it_goes_on * goes_on
+            enters = self._cut_ins(encounter, objects.since_beside_s[rows])
+            predicted[1, rows] = np.where(is_person, 0.0, enters)
+            needed_mps2[rows] = needed_deceleration(encounter, settings.reaction_s)
+        return predicted, needed_mps2
 
     def _encounter(self, objects: _Objects, rows: IntArray) -> Encounter:
         """Motion of the objects in the given rows relative to the ego vehicle and its path."""
@@ -464,77 +473,86 @@ class CollisionWarning:
         )
 
     def _offset(
-        self, tracks: Tracks, gap: ConstantVelocity, x: ConstantVelocity, sigma_m: FloatArray
+        self, tracks: Tracks, gap: ConstantVelocity, x: ConstantVelocity
     ) -> ConstantVelocity:
-        """Lateral offset of the objects from the ego path and its rate, with the errors of path and
-        distance.
+        """Lateral offset of the objects, at x from the camera, from the ego path and its rate, with
+        the errors of the path.
         """
         ego, w, V = self._ego, self._ego.yaw, self._ego.path_mps
         T = np.maximum(gap.x, 0.0) / V
         u = gap.v + ego.speed_mps if ego.has_speed else np.zeros_like(gap.v)
         turning = u if ego.has_yaw else gap.v
-        # an error of the distance moves objects along their bearing
-        scaled_m = x.x * sigma_m / gap.x
-        scaled_mps = scaled_m / _DRIFT_S
         P_ww, P_wa, P_aa, q = w.P_xx, w.P_xv, w.P_vv, ego.yaw_noise
         offset = ConstantVelocity(
             x.x - V * T * T * (w.x / 2 + T * w.v / 6),
             x.v - T * (w.x + T * w.v / 2) * u,
-            x.P_xx
-            + scaled_m**2
-            + V * V * T**4 * (P_ww / 4 + T * (P_wa / 6 + T * (P_aa / 36 + T * (q / 252)))),
+            x.P_xx + V * V * T**4 * (P_ww / 4 + T * (P_wa / 6 + T * (P_aa / 36 + T * (q / 252)))),
             x.P_xv
             + V
             * T**3
             * (P_ww / 2 + T * (5 * P_wa / 12 + T * (P_aa / 12 + T * (q / 72))))
             * turning,
-            x.P_vv
-            + scaled_mps**2
-            + T * T * (P_ww + T * (P_wa + T * (P_aa / 4 + T * (q / 20)))) * turning**2,
+            x.P_vv + T * T * (P_ww + T * (P_wa + T * (P_aa / 4 + T * (q / 20)))) * turning**2,
         )
         # Prior of the rate.
         sigma_mps = np.full(len(tracks), _LATERAL_MPS)
         if ego.has_speed:
             sigma_mps = np.where(np.abs(u) < _STATIC_MPS, _STATIC_LATERAL_MPS, sigma_mps)
             sigma_mps = np.where(u < -_STATIC_MPS, _ONCOMING_LATERAL_MPS, sigma_mps)
-        sigma_mps = np.where(tracks.class_id == _PERSON, _PERSON_LATERAL_MPS, sigma_mps)
-        return _with_rate(offset, 0.0, sigma_mps)
+        is_person = tracks.class_id == _PERSON
+        sigma_mps = np.where(is_person, _PERSON_LATERAL_MPS, sigma_mps)
+        free_mps = np.where(is_person, _FREE_PERSON_MPS, _FREE_LATERAL_MPS)
+        return _with_rate(offset, 0.0, sigma_mps, free_mps)
 
-    def _may_start(
-        self, encounter: Encounter, probability: FloatArray, is_person: BoolArray
-    ) -> BoolArray:
-        """(K,) whether a contact is probable, and the driver has to brake hard after the reaction
-        time.
+    def _cut_ins(self, encounter: Encounter, since_beside_s: FloatArray) -> FloatArray:
+        """(K,) probability that an object moves from the side into the ego path at a short
+        headway.
         """
-        settings = self.settings
-        is_probable = probability >= np.where(
-            is_person, settings.person_probability, settings.on_probability
-        )
-        is_probable &= -encounter.gap.v >= settings.min_closing_mps
-        if not is_probable.any():
-            return np.asarray(is_probable)
-        needed_mps2 = needed_deceleration(encounter, settings.reaction_s)
-        return np.asarray(is_probable & (needed_mps2 >= settings.min_deceleration_mps2))
-
-    def _cuts_in(self, encounter: Encounter, since_beside_s: FloatArray) -> BoolArray:
-        """(K,) whether an object moves from the side into the ego path at a short headway."""
         ego, gap, offset = self._ego, encounter.gap, encounter.offset
         is_near = (gap.x < _CUT_IN_HEADWAY_S * ego.speed_mps) & (gap.x > _MIN_CUT_IN_GAP_M)
         if ego.speed_mps < _MIN_CUT_IN_SPEED_MPS or not is_near.any():
-            return np.zeros(len(gap.x), np.bool_)
+            return np.zeros(len(gap.x))
         fraction = overlap_probability(
             offset,
             encounter.half_width_m,
             encounter.lateral_acceleration_mps2,
             _CUT_IN_AHEAD_S,
         )
-        enters = (
-            (fraction >= _CUT_IN_PROBABILITY)
-            & (since_beside_s <= _BESIDE_S)
-            & (offset.x * offset.v < 0)
-        )
-        is_along = encounter.object_mps > _STATIC_MPS
-        return np.asarray(is_near & is_along & enters & (gap.v <= _MAX_CUT_IN_MPS))
+        enters = (since_beside_s <= _BESIDE_S) & (offset.x * offset.v < 0)
+        is_along = (encounter.object_mps > _STATIC_MPS) & (gap.v <= _MAX_CUT_IN_MPS)
+        return np.where(is_near & is_along & enters, fraction, 0.0)
+
+
+def _is_plausible(objects: _Objects) -> BoolArray:
+    """(N,) whether the motion is one that road users have, and known well enough."""
+    own, gap = objects.own, objects.gap
+    most_mps = np.maximum(_MAX_CLOSING_SIGMA_MPS, _MAX_CLOSING_FRACTION * np.abs(gap.v))
+    most_lateral_mps = np.where(objects.is_person, _MAX_RUNNING_MPS, _MAX_LATERAL_MPS)
+    is_certain = gap.P_vv <= most_mps**2
+    is_along = (np.abs(own.x) < _MAX_SPEED_MPS) & (np.abs(own.v) < _MAX_ACCELERATION_MPS2)
+    return np.asarray(is_certain & is_along & (np.abs(objects.offset.v) < most_lateral_mps))
+
+
+def _scale_variance(motion: FilteredRanges) -> FloatArray:
+    """(N,) variance s^2 of the relative error that all distances of a track have in common."""
+    state = motion.state
+    common_m2 = np.maximum(motion.ranges.sigma_m**2 - state.P_xx, 0.0)
+    return np.asarray(common_m2 / state.x**2)
+
+
+def _with_scale(
+    state: ConstantVelocity, variance: FloatArray, *, moving: FloatArray | float = 1.0
+) -> ConstantVelocity:
+    """The states with a common relative error of this variance, which the rates share as far as
+    objects are `moving`.
+    """
+    x, v = state.x, state.v
+    return replace(
+        state,
+        P_xx=state.P_xx + variance * x**2,
+        P_xv=state.P_xv + moving * variance * x * v,
+        P_vv=state.P_vv + moving * variance * v**2,
+    )
 
 
 def _free_motion(ranges: Ranges | None, last: _WarningState, time_s: float) -> ConstantVelocity:
@@ -548,20 +566,28 @@ def _free_motion(ranges: Ranges | None, last: _WarningState, time_s: float) -> C
     return ConstantVelocity(*np.where(np.isnan(state.x), initial, updated.columns))
 
 
-def _with_rate(state: ConstantVelocity, rate_mps: float, sigma_mps: FloatArray) -> ConstantVelocity:
-    """The states after a pseudo-measurement of their rates with the given sigma, where this is
-    plausible.
+def _with_rate(
+    state: ConstantVelocity, rate_mps: float, sigma_mps: FloatArray, free_mps: FloatArray
+) -> ConstantVelocity:
+    """The states after a pseudo-measurement of their rates, with the given sigma for most objects
+    and the larger sigma `free_mps` for a fraction `_FREE_FRACTION` of them: mean and covariance of both.
     """
-    S = state.P_vv + sigma_mps**2
+    R = np.array(np.broadcast_arrays(sigma_mps, free_mps, state.v)[:2]) ** 2
+    S = state.P_vv + R
     nu = rate_mps - state.v
-    weight = np.where(nu**2 < _GATE_SIGMA**2 * S, 1.0 / S, 0.0)
-    K_x, K_v = weight * state.P_xv, weight * state.P_vv
+    prior = np.array([[1.0 - _FREE_FRACTION], [_FREE_FRACTION]])
+    likelihood = prior * np.exp(-nu * nu / (2.0 * S)) / np.sqrt(S)
+    w = likelihood / np.maximum(likelihood.sum(axis=0), 1e-300)
+    K_x, K_v = state.P_xv / S, state.P_vv / S
+    x, v = state.x + K_x * nu, state.v + K_v * nu
+    mean_x, mean_v = (w * x).sum(axis=0), (w * v).sum(axis=0)
+    dx, dv = x - mean_x, v - mean_v
     return ConstantVelocity(
-        x=state.x + K_x * nu,
-        v=state.v + K_v * nu,
-        P_xx=state.P_xx - K_x * state.P_xv,
-        P_xv=state.P_xv - K_x * state.P_vv,
-        P_vv=state.P_vv - K_v * state.P_vv,
+        x=mean_x,
+        v=mean_v,
+        P_xx=(w * (state.P_xx - K_x * state.P_xv + dx * dx)).sum(axis=0),
+        P_xv=(w * (state.P_xv - K_x * state.P_vv + dx * dv)).sum(axis=0),
+        P_vv=(w * (state.P_vv - K_v * state.P_vv + dv * dv)).sum(axis=0),
     )
 
 

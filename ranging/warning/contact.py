@@ -18,12 +18,16 @@ from which the object comes by the distance it travels while the ego vehicle pas
 the side. A is the standard deviation of the lateral acceleration of the object. Arrival time and
 lateral offset are independent given the means: their common error, a factor of the scale, does not
 move an object that is ahead out of the path.
+
+Most vehicles that come towards the path from the side give way, or are in the next lane: they stop
+their lateral motion before the path, as long as they need no more than an ordinary deceleration for
+it, b = o'^2 / 2 (|o| - W). People seldom do once they walk.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import expit, ndtr
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.constant_velocity import ConstantVelocity
@@ -31,6 +35,10 @@ from track_range.foundation.constant_velocity import ConstantVelocity
 _N_STEPS = 12  # of the integral; with 256, 99 % of simulated probabilities differ by at most 0.004
 _MIN_SIGMA = 1e-3  # smallest standard deviation in m, against a division by zero
 _MIN_BRAKING_MPS = 1e-6  # smallest deceleration, against a division by zero
+# fraction of the vehicles beside the path that give way if they can; deceleration that half of these
+# would choose, and its scale, m/s^2
+_YIELDING, _YIELDING_MPS2, _YIELDING_SPREAD_MPS2 = 0.95, 3.0, 0.5
+_MIN_ROOM_M = 0.1  # smallest distance from the path, against a division by zero
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +96,15 @@ def contact_probability(
     )
     probability = np.diff(F, axis=0) * overlap
     return np.asarray(probability.sum(axis=0) + F[0] * overlap[0])
+
+
+def yielding_probability(encounter: Encounter) -> FloatArray:
+    """(N,) probability that an object beside the path, if it is a vehicle, stops before it."""
+    offset = encounter.offset
+    room_m = np.abs(offset.x) - encounter.half_width_m
+    needed_mps2 = offset.v**2 / (2 * np.maximum(room_m, _MIN_ROOM_M))
+    can_stop = expit((_YIELDING_MPS2 - needed_mps2) / _YIELDING_SPREAD_MPS2)
+    return np.asarray(np.where(room_m > 0, _YIELDING * can_stop, 0.0))
 
 
 def needed_deceleration(encounter: Encounter, reaction_s: float) -> FloatArray:

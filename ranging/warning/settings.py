@@ -19,14 +19,15 @@ class WarningSettings:
 
     Attributes:
         horizon_s: a contact within this time counts.
-        on_probability: an alarm starts when the probability of contact is at least this for
-            `min_on_s`.
-        person_probability: the same for people, whose lateral motion is less certain.
+        on_probability: an alarm starts when the probability of contact is at least this, where
+            hard braking is needed; where less is needed, the threshold is higher
+            (`sequential_test`).
+        person_probability: the same for people.
         off_probability: an alarm ends when the probability has been below this for half a second.
-        min_on_s: shortest time above `on_probability` before an alarm.
-        uncertain_on_s: the same where the distance is uncertain (by more than 5.5 %), as with one
-            camera, and for vehicles that are beside the ego path or come towards the ego
-            vehicle.
+        min_on_s: shortest time for which this has to hold before an alarm; the probability already
+            needs time to rise.
+        uncertain_on_s: the same; the longer one counts. In earlier versions, it was that of
+            uncertain distances.
         min_closing_mps: smallest closing speed of an alarm.
         front_m: distance from the camera to the front of the ego vehicle.
         ego_width_m: width of the ego vehicle.
@@ -37,11 +38,11 @@ class WarningSettings:
     """
 
     horizon_s: float = 3.5
-    on_probability: float = 0.3
+    on_probability: float = 0.55
     person_probability: float = 0.2
     off_probability: float = 0.1
-    min_on_s: float = 0.2
-    uncertain_on_s: float = 1.0
+    min_on_s: float = 0.0
+    uncertain_on_s: float = 0.0
     min_closing_mps: float = 1.0
     front_m: float = 1.5
     ego_width_m: float = 1.8

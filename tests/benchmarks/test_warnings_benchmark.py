@@ -42,6 +42,9 @@ def test_alarms_count_once_per_drive_and_threshold():
     assert figures["false_alarms_per_hour"] == 2.0
     assert figures["median_lead_s"] == 1.25  # one contact with 2.5 s, one without an alarm
     assert figures["fraction_with_2_1_s"] == 0.5
+    assert figures["by_scenario"]["following"]["contacts"] == 2
+    # exact limits of Poisson for two events, 0.242 and 7.225, in one hour
+    assert figures["false_alarms_per_hour_95"] == [0.24, 7.22]
     assert alarm_figures(scenes, 0)["false_alarms"] == 1
 
 

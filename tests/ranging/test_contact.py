@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from track_range.ranging.warning.contact import (
     needed_deceleration,
     overlap_probability,
     stop_s,
+    yielding_probability,
 )
 
 EGO = {"horizon_s": 3.5, "manoeuvre_s": 3.0, "ego_length_m": 4.2}
@@ -155,6 +157,22 @@ def test_person_may_run_into_the_side() -> None:
     assert probability(gap, state(1.2 + 1.2 + 4.0, -2.0), half_width_m=1.2) == pytest.approx(
         0.0, abs=1e-6
     )
+
+
+@pytest.mark.parametrize(
+    ("x_m", "v_mps", "expected"),
+    [
+        (5.8, -2.0, 0.95),  # stops within 4 m by 0.5 m/s2
+        (5.8, -math.sqrt(24.0), 0.475),  # needs the 3 m/s2 that half of all would choose
+        (2.8, 4.0, 0.01),  # needs 8 m/s2
+        (1.0, -3.0, 0.0),  # is in the path
+    ],
+)
+def test_vehicles_beside_the_path_give_way_if_they_can(
+    x_m: float, v_mps: float, expected: float
+) -> None:
+    one = encounter(state(20.0, -10.0), state(x_m, v_mps))
+    assert yielding_probability(one)[0] == pytest.approx(expected, abs=0.01)
 
 
 def test_overlap_against_the_normal_distribution() -> None:

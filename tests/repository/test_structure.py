@@ -73,7 +73,8 @@ MOST_STATEMENTS = {
     # plain curves within the fitted distances (8)
     # boxes from before a confirmation as evidence of the lateral speed (28)
     # changes of a believed size are no motion (41); probabilities of the states of motion (31)
-    "ranging": 7_127,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    # a sequential test in place of waiting times, and vehicles that cross and give way (51)
+    "ranging": 7_178,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     "api": 106,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
@@ -147,7 +148,8 @@ MOST_STATEMENTS = {
     "run": 2_402,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that
     # look to any side from any place of the vehicle (24)
-    "simulation": 3_244,
+    # vehicles out of side roads, which cross or give way (39)
+    "simulation": 3_283,
     # the picture of the estimate of a camera (62)
     # the share within 25 % (1)
     # thresholds of the alarm beside the probability of contact, and sigmas of events (17)

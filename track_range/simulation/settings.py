@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 SCENARIO_NAMES = (
     *("town", "highway", "city", "cut-in", "crossing", "queue", "empty", "night"),
     *("rear-stationary", "rear-slower", "rear-braking", "crossing-adult", "crossing-child"),
+    *("crossing-car", "yielding"),
     *("curve-parked", "oncoming", "overhead-sign", "following", "occlusion", "winding"),
 )
 

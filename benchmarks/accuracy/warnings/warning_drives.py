@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from benchmarks.boxes.box_drive import BoxDrive
 from benchmarks.boxes.box_run import IDS_PER_DRIVE, Step, run_boxes, tracked
@@ -47,6 +48,7 @@ METHODS = {"mono": ("mono",), "stereo": ("stereo",), "fused": ("mono", "stereo")
 """Ranging methods of each configuration."""
 
 HARMLESS_HOURS = (
+    "yielding",
     "curve-parked",
     "oncoming",
     "overhead-sign",
@@ -371,7 +373,8 @@ def alarm_figures(scenes: Sequence[SceneFigures], threshold: int = -1) -> Figure
     n_thresholds = int(max((scene.alarms[:, 1].max(initial=0) for scene in scenes), default=0))
     index = n_thresholds if threshold < 0 else threshold
     leads: list[float] = []
-    n_false, n_contacts, hours = 0, 0, 0.0
+    leads_by_scenario: dict[str, list[float]] = {}
+    n_false, hours = 0, 0.0
     by_scenario: dict[str, int] = {}
     for scene in scenes:
         part = scene.alarms[scene.alarms[:, 1] == index]
@@ -379,22 +382,43 @@ def alarm_figures(scenes: Sequence[SceneFigures], threshold: int = -1) -> Figure
         n_false += int(is_false.sum())
         by_scenario[scene.scenario] = by_scenario.get(scene.scenario, 0) + int(is_false.sum())
         hours += scene.hours
-        n_contacts += scene.n_contacts
         first: dict[float, float] = {}
         for drive, lead in part[~is_false][:, [0, 4]].tolist():
             first[drive] = max(first.get(drive, -math.inf), lead)
-        leads += list(first.values())
-    leads += [0.0] * (n_contacts - len(leads))
+        own = [*first.values(), *[0.0] * (scene.n_contacts - len(first))]
+        leads += own
+        if own:
+            leads_by_scenario.setdefault(scene.scenario, []).extend(own)
     return {
         "hours": round(hours, 3),
         "false_alarms": n_false,
         "false_alarms_per_hour": round(n_false / hours, 2) if hours else None,
+        "false_alarms_per_hour_95": poisson_bounds(n_false, hours) if hours else None,
         "false_alarms_by_scenario": by_scenario,
-        "contacts": n_contacts,
+        "contacts": len(leads),
         "median_lead_s": median_or_none(leads),
         "lead_10_pct_s": quantile_or_none(leads, 0.1),
-        "fraction_with_2_1_s": round(float(np.mean(np.array(leads) >= 2.1)), 3) if leads else None,
+        "fraction_with_2_1_s": _in_time(leads),
+        "by_scenario": {
+            name: {
+                "contacts": len(own),
+                "median_lead_s": median_or_none(own),
+                "fraction_with_2_1_s": _in_time(own),
+            }
+            for name, own in leads_by_scenario.items()
+        },
     }
+
+
+def _in_time(leads_s: Sequence[float]) -> float | None:
+    return round(float(np.mean(np.array(leads_s) >= 2.1)), 3) if leads_s else None
+
+
+def poisson_bounds(n: int, hours: float) -> list[float]:
+    """The 95 % interval of the rate per hour of n events in the given time (Garwood, 1936)."""
+    low = chi2.ppf(0.025, 2 * n) / 2 if n else 0.0
+    high = chi2.ppf(0.975, 2 * n + 2) / 2
+    return [round(float(low / hours), 2), round(float(high / hours), 2)]
 
 
 def closing_figures(rows: FloatArray, nearest_m: float = 10.0, farthest_m: float = 40.0) -> Figures:

@@ -188,9 +188,18 @@ def _point(scenes: Sequence[SceneFigures], number: int) -> Figures:
     return {
         **{
             name: hits[name]
-            for name in ("contacts", "median_lead_s", "lead_10_pct_s", "fraction_with_2_1_s")
+            for name in (
+                *("contacts", "median_lead_s", "lead_10_pct_s", "fraction_with_2_1_s"),
+                "by_scenario",
+            )
         },
-        **{name: false[name] for name in ("hours", "false_alarms", "false_alarms_per_hour")},
+        **{
+            name: false[name]
+            for name in (
+                *("hours", "false_alarms", "false_alarms_per_hour", "false_alarms_per_hour_95"),
+                "false_alarms_by_scenario",
+            )
+        },
     }
 
 

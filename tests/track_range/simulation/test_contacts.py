@@ -30,9 +30,11 @@ COLLISIONS = (
     "rear-braking",
     "crossing-adult",
     "crossing-child",
+    "crossing-car",
     "cut-in",
 )
 HARMLESS = (
+    "yielding",
     "curve-parked",
     "oncoming",
     "overhead-sign",

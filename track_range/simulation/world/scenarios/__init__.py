@@ -23,6 +23,8 @@ SCENARIOS: dict[str, Callable[[int, float], Scene]] = {
     "rear-braking": conflicts.rear_braking,
     "crossing-adult": conflicts.crossing_adult,
     "crossing-child": conflicts.crossing_child,
+    "crossing-car": conflicts.crossing_car,
+    "yielding": conflicts.yielding,
     "curve-parked": conflicts.curve_parked,
     "oncoming": conflicts.oncoming_traffic,
     "overhead-sign": conflicts.overhead_sign,

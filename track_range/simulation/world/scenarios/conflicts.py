@@ -5,6 +5,7 @@ rear-slower       a vehicle at a third to a half of the speed following       a 
 rear-braking      a vehicle ahead at 1.6 to 2.4 s brakes      oncoming        oncoming traffic in its lane, in bends
 crossing-adult    a person crosses from either side           overhead-sign   a gantry with a sign above the lane
 crossing-child    a child crosses from behind parked cars
+crossing-car      a vehicle comes out of a side road          yielding      vehicles brake at the mouth of side roads
 
 The left column ends in a contact 5.5 to 7.5 s after the start; the seed varies speeds, the lateral
 overlap (at least half of the narrower one for vehicles, the middle half of the ego vehicle's width
@@ -112,6 +113,69 @@ def crossing_child(seed: int, seconds: float) -> Scene:
     return _with_crash(
         casting.scene_of(seed, rng, users, ((0.0, ego_mps),), "city", (3.0, 0.8)), seconds
     )
+
+
+def crossing_car(seed: int, seconds: float) -> Scene:
+    """The ego vehicle hits a vehicle that comes out of a side road, across or half along it."""
+    rng = np.random.default_rng([seed, 33])
+    ego_mps, contact_s = float(rng.uniform(9, 15)), float(rng.uniform(*CONTACT_S))
+    kitti_type, angle_rad, side = _from_side_road(rng)
+    speed_mps = float(rng.uniform(4, 9))
+    across_mps, along_mps = speed_mps * np.cos(angle_rad), speed_mps * np.sin(angle_rad)
+    _, width_m, length_m = SIZE_HWL_M[kitti_type]
+    half_m = (length_m * abs(np.sin(angle_rad)) + width_m * np.cos(angle_rad)) / 2
+    z_m = (ego_mps - along_mps) * contact_s + CAMERA_TO_FRONT_M + half_m
+    hit_m = float(rng.uniform(-0.25, 0.25)) * EGO_HWL_M[1] + side * length_m / 4
+    heading_rad = np.pi - angle_rad if side > 0 else angle_rad
+    vehicle = casting.road_user(
+        kitti_type,
+        hit_m + side * across_mps * contact_s,
+        z_m,
+        -heading_rad,
+        speed_mps=speed_mps,
+    )
+    until_m = ego_mps * seconds + VIEW_M
+    crossing_m = z_m + along_mps * contact_s
+    users = [
+        vehicle,
+        *_pavements(rng, crossing_m, until_m, 0.5, (-12.0, -6.0, 0.0, 6.0, 12.0)),
+    ]
+    scene = casting.scene_of(seed, rng, users, ((0.0, ego_mps),), "city", (2.0, 0.8))
+    return _with_crash(scene, seconds)
+
+
+def yielding(seed: int, seconds: float) -> Scene:
+    """Vehicles come out of side roads, and brake to a standstill at their mouths."""
+    rng = np.random.default_rng([seed, 34])
+    ego_mps = float(rng.uniform(9, 15))
+    until_m = ego_mps * seconds + VIEW_M
+    users, free_m = [], []
+    for passing_s in np.arange(float(rng.uniform(3, 5)), seconds + 2, 4.0).tolist():
+        kitti_type, angle_rad, side = _from_side_road(rng)
+        speed_mps, deceleration = float(rng.uniform(3, 7)), float(rng.uniform(1.5, 3.0))
+        stop_s = speed_mps / deceleration
+        brake_s = passing_s - float(rng.uniform(0.5, 2.5)) - stop_s
+        stopping = ((0.0, speed_mps), (brake_s, speed_mps), (brake_s + stop_s, 0.0))
+        driven_m = travelled_m(stopping, brake_s + stop_s)
+        # its front is beside the lane, 0.7 to 1.7 m from the ego vehicle
+        stop_m = EGO_HWL_M[1] / 2 + float(rng.uniform(0.7, 1.7)) + SIZE_HWL_M[kitti_type][2] / 2
+        heading_rad = np.pi - angle_rad if side > 0 else angle_rad
+        z_m = ego_mps * passing_s + CAMERA_TO_FRONT_M
+        users.append(
+            casting.road_user(
+                kitti_type,
+                side * (stop_m + driven_m * float(np.cos(angle_rad))),
+                z_m - driven_m * float(np.sin(angle_rad)),
+                -heading_rad,
+                speed_changes=stopping,
+            )
+        )
+        free_m += [z_m + by_m for by_m in (-12.0, -6.0, 0.0, 6.0, 12.0)]
+    users += [
+        *casting.parked(rng, until_m=until_m, fraction=0.5, free_m=free_m),
+        *casting.signs("city", until_m=until_m),
+    ]
+    return casting.scene_of(seed, rng, users, ((0.0, ego_mps),), "city", (2.0, 0.8))
 
 
 def curve_parked(seed: int, seconds: float) -> Scene:
@@ -243,6 +307,14 @@ def _crossing_person(
     return casting.road_user(
         "Pedestrian", x_m, z_m, heading_rad, speed_mps=speed_mps, size_factor=size_factor
     )
+
+
+def _from_side_road(rng: np.random.Generator) -> tuple[str, float, int]:
+    """Type of a vehicle, the angle by which it drives more along the road than across it, rad, and
+    the side that it comes from, 1 = right.
+    """
+    kitti_type = str(rng.choice(("Car", "Van", "Truck", "Motorcycle"), p=(0.65, 0.15, 0.1, 0.1)))
+    return kitti_type, float(rng.uniform(-0.3, 0.9)), 1 if rng.uniform() < 0.5 else -1
 
 
 def _pavements(
