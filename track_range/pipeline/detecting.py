@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from track_range.detection.detections import Detections
+from track_range.detection.fixed_parts import NOTHING_FIXED, FixedParts, FixedPixels
 from track_range.detection.lanes.lines import LaneFinder, LaneLines
 from track_range.pipeline.clock import StageClock
 from track_range.stereo.geometry.frames import Frame
@@ -30,6 +31,7 @@ class Detected(NamedTuple):
     lanes: LaneLines | None
     detections: Detections
     candidates: Detections | None = None
+    fixed: FixedPixels = NOTHING_FIXED  # what does not move with the scene, such as burnt-in text
 
 
 @dataclass(slots=True, kw_only=True)
@@ -43,12 +45,15 @@ class DetectionStage:
     # all boxes of the latest frame; None = not needed
     candidates: Callable[[Frame], Detections] | None = None
     lane_finder: LaneFinder | None = None  # lines of the ego lane, ten times per second; None = off
+    # what never moves in the images, whose boxes are left out; None = the boxes are as given
+    fixed_parts: FixedParts | None = None
     _lanes: LaneLines | None = None
     _lanes_due_s: float = -math.inf
 
     def notes(self) -> tuple[str, ...]:
-        """Messages for the user about the lane lines."""
-        return () if self.lane_finder is None else self.lane_finder.notes
+        """Messages for the user about boxes that are left out, and the lane lines."""
+        parts = (self.fixed_parts, self.lane_finder)
+        return tuple(note for part in parts if part is not None for note in part.notes)
 
     def summary(self) -> dict[str, Any]:
         """No entries of summary.json."""
@@ -67,7 +72,11 @@ class DetectionStage:
         with clock.stage("detect"):
             detections = detect()
             candidates = None if self.candidates is None else self.candidates(frame)
-        return Detected(frame, None, detections, candidates)
+            if self.fixed_parts is None:
+                return Detected(frame, None, detections, candidates)
+            self.fixed_parts.add(frame.left, frame.time_s)
+            moving = self.fixed_parts.moving(detections, frame.left)
+        return Detected(frame, None, moving, candidates, self.fixed_parts.pixels)
 
     def with_lanes(self, detected: Detected, clock: StageClock) -> Detected:
         """The frame with the lines of the ego lane on the road between the boxes."""

@@ -74,7 +74,7 @@ class FramePipeline:
         `known_ego` is a speed of the camera that is known for this frame; None = as the ego stage
         measures it.
         """
-        frame, lanes, _, candidates = detected
+        frame, lanes = detected.frame, detected.lanes
         image = self.times.update(frame.left, frame.time_s)
         time_s, stage = image.time_s, self.clock.stage
         if image.is_repeated:
@@ -117,14 +117,14 @@ class FramePipeline:
             lanes=lanes or LaneLines(),
             doubt=doubt,
             disparity=measured.disparity,
-            candidates=candidates,
+            candidates=detected.candidates,
         )
 
     def _measured(
         self, detected: Detected, known_ego: EgoMotion | None, *, has_sure_time: bool
     ) -> _Seen:
         """What a new image shows."""
-        frame, lanes, detections, _ = detected
+        frame, lanes, detections = detected.frame, detected.lanes, detected.detections
         with self.clock.stage("track"):
             self.tracks = tracks = tracked(self.tracker, detections, frame)
         with self.clock.stage("ego"):

@@ -19,6 +19,7 @@ from track_range.detection.boxes import are_valid_boxes, area_px2
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids
 from track_range.detection.detections import Detections
 from track_range.detection.detector import DetectorError, ObjectDetector, checked_detections
+from track_range.detection.fixed_parts import FixedParts
 from track_range.detection.formats.detection_files import RecordedDetections, read_detections
 from track_range.detection.formats.tables.box_table import VideoFacts
 from track_range.detection.yolo.detector import YoloDetector
@@ -59,6 +60,8 @@ class BoxSource:
     notes: Callable[[], tuple[str, ...]]  # messages for the user so far
     prepare: Callable[[Frame], Callable[[], Detections]] | None = None
     box_errors: BoxErrors | None = None  # systematic errors of the boxes; None = unknown
+    # what never moves in the images, on which a detector finds no road user; None = recorded boxes
+    fixed_parts: FixedParts | None = None
     # (M,) numbers of those with recorded boxes
     frames: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
 
@@ -109,6 +112,7 @@ def network_source(
         description={"detector": description},
         notes=lambda: (*network.notes, *far_pass.notes),
         box_errors=network.box_errors,
+        fixed_parts=FixedParts(),
         prepare=prepared,
     )
 
@@ -137,6 +141,7 @@ def boxes_of(detector: ObjectDetector) -> BoxSource:
         description={"detector": {"class": class_name(detector)}},
         notes=lambda: tuple(getattr(detector, "notes", ())),
         box_errors=box_errors,
+        fixed_parts=FixedParts(),
     )
 
 

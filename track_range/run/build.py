@@ -100,6 +100,7 @@ def open_pipeline(
             prepare=boxes.prepare,
             candidates=boxes.candidates if needs_candidates else None,
             lane_finder=lane_finder,
+            fixed_parts=boxes.fixed_parts,
         ),
         tracker=tracker or create_tracker(settings.tracker, tracker_options),
         ego=ego,

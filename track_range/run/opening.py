@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from rich.console import Console
 from track_range.calibration.drive.drive_video import DriveVideo
 from track_range.calibration.drive.known_metres import KnownMeasurements, known_metres
 from track_range.calibration.drive.pre_pass import PrePass
+from track_range.calibration.drive.shown_fixed_parts import shown_fixed_parts
 from track_range.calibration.drive.shown_mounting import with_mounting
 from track_range.detection.detector import ObjectDetector
 from track_range.detection.yolo.detector import YoloDetector
@@ -100,6 +101,8 @@ def open_run(
             recording, box_source = _with_estimate(
                 recording, settings, box_source, shapes, progress, given
             )
+        if box_source.fixed_parts is not None:
+            box_source = replace(box_source, fixed_parts=shown_fixed_parts(recording, again))
         calibration, path = recording.calibration, settings.truth
         shift_m = calibration.left_from_reference_m
         truth = None if path is None else read_truth(path, calibration.camera, shift_m)
