@@ -53,6 +53,10 @@ WORKLOADS = {
         "accuracy.ranging.simulated_runs",
         "fusion while the right camera is black or noise",
     ),
+    "ground_weight": (
+        "accuracy.ranging.ground_weight",
+        "what contact points add to sizes on KITTI's labels, by drive",
+    ),
     "history": ("accuracy.tracking.history", "median label prediction by length, form and gates"),
     "horizon": (
         "accuracy.ranging.horizon",

@@ -1,7 +1,8 @@
-"""Errors of box-only methods on labelled boxes, per class and distance band.
+"""Errors of box-only methods on labelled boxes, per class, distance band and drive.
 
-Errors are relative. The metrics of a class cover 10-100 m, the metrics of far objects 30-100 m, and
-the bands 5-100 m.
+Errors are relative. The metrics of a class and of its drives cover 10-100 m, the metrics of far
+objects 30-100 m, and the bands 5-100 m. Errors of sizes, of the ground and of a calibration are
+common to a drive: a coverage over all drives hides drives that are wrong in opposite directions.
 
 Metrics of published evaluations (Eigen, Puhrsch and Fergus, NIPS 2014):
 
@@ -25,6 +26,11 @@ from track_range.stereo.evaluation.disparity_errors import MatcherColumn, risk_c
 NEAREST_M, FAR_M = 10.0, 30.0
 # s before and after a label of the central difference that is its true closing speed
 CLOSING_HALF_SPAN_S = 0.5
+# metrics of each drive besides the number of its tracks: number of boxes, median signed error,
+# fractions within one and two sigma
+_DRIVE_KEYS = ("n", "bias_pct", "within_1_sigma", "within_2_sigma")
+# smallest number of boxes of a drive that may be named as the worst: fewer are one or two tracks
+_MIN_DRIVE_BOXES = 30
 _MIN_M = 0.1  # smallest distance in m in ratios and logarithms: polynomials may be negative
 
 METRICS = (
@@ -50,6 +56,7 @@ def _class_figures(boxes: BoxSet, column: MethodColumn, is_class: BoolArray) -> 
     in_span = is_class & (true_m >= NEAREST_M) & (true_m <= BANDS_M[-1])
     tracks = np.unique(np.stack([boxes.sequence, boxes.track_id])[:, in_span], axis=1)
     key = "mean_relative_error_pct"
+    by_drive = _drive_figures(boxes, column, in_span)
     return {
         **score_rows(column, true_m, in_span),
         "n_tracks": tracks.shape[1],
@@ -59,7 +66,34 @@ def _class_figures(boxes: BoxSet, column: MethodColumn, is_class: BoolArray) -> 
             column, true_m, in_span & boxes.is_rear_view & (true_m >= FAR_M)
         )[key],
         "bands": score_bands(column, true_m, is_class),
+        "by_drive": by_drive,
+        "worst_drive": _worst_drive(by_drive),
     }
+
+
+def _drive_figures(
+    boxes: BoxSet, column: MethodColumn, rows: BoolArray
+) -> dict[str, dict[str, Any]]:
+    """Metrics by the name of the drive, of the drives that have boxes among `rows` (N,)."""
+    by_drive = {}
+    for number in np.unique(boxes.sequence[rows]).tolist():
+        in_drive = rows & (boxes.sequence == number)
+        scores = score_rows(column, boxes.distance_m, in_drive)
+        by_drive[boxes.sequence_names[number]] = {
+            "n_tracks": len(np.unique(boxes.track_id[in_drive])),
+            **{key: scores[key] for key in _DRIVE_KEYS},
+        }
+    return by_drive
+
+
+def _worst_drive(by_drive: Mapping[str, Mapping[str, Any]]) -> str | None:
+    """Name of the drive with the largest median error; None = all have too few boxes."""
+    bias_pct = {
+        name: abs(scores["bias_pct"])
+        for name, scores in by_drive.items()
+        if scores["n"] >= _MIN_DRIVE_BOXES
+    }
+    return max(bias_pct, key=bias_pct.__getitem__, default=None)
 
 
 def frame_rows(boxes: BoxSet) -> Iterator[IntArray]:

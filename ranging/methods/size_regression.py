@@ -195,10 +195,14 @@ MONO = RangingMethod(
     colour="#cf7410",
     create=_create,
     error_sources=(
-        ErrorSource("size", systematic=0.4),
+        ErrorSource("size", systematic=0.24),
         ErrorSource("drive_scale", systematic=0.24),
+        # The bottom edge is a part of the evidence, on a road that the other sizes show: with the
+        # poses of KITTI's 13 sequences as motion, track means of `mono` and `ground` have a
+        # correlation of 0.47 to 0.58, and their views one of 0.42 to 0.55.
+        ErrorSource("horizon", systematic=0.09),
         ErrorSource("box_height", independent=0.36 * 5 / 7),
-        ErrorSource("contact_point", independent=0.36 * 2 / 7),
+        ErrorSource("contact_point", systematic=0.07, independent=0.36 * 2 / 7),
     ),
     is_filtered=True,
 )

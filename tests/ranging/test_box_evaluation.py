@@ -41,6 +41,29 @@ def test_figures_by_hand(box_set_of, row):
     assert [band["n"] for band in car["bands"]] == [1, 0, 1, 1, 1]
 
 
+def test_figures_by_drive_show_errors_that_cancel(box_set_of, row):
+    """Drives of 30 boxes at +5 and -8 % have no common bias; the worst has at least 30 boxes, so that
+    one wrong box of a third is none."""
+    drives = {
+        name: [row(k, 0, "Car", 20.0) for k in range(n)] for name, n in (("a", 30), ("b", 30))
+    }
+    boxes = box_set_of(**drives, c=[row(0, 0, "Car", 20.0)])
+    factor = np.choose(boxes.sequence, [1.05, 0.92, 1.4])
+    column = MethodColumn(factor * boxes.distance_m, np.full(len(boxes), 1.2))
+    car = figures(boxes, column)["car"]
+    by_drive = car["by_drive"]
+    assert list(by_drive) == ["a", "b", "c"]
+    assert [scores["n"] for scores in by_drive.values()] == [30, 30, 1]
+    assert [scores["n_tracks"] for scores in by_drive.values()] == [1, 1, 1]
+    assert [scores["bias_pct"] for scores in by_drive.values()] == pytest.approx([5.0, -8.0, 40.0])
+    assert [scores["within_1_sigma"] for scores in by_drive.values()] == [1.0, 0.0, 0.0]
+    assert [scores["within_2_sigma"] for scores in by_drive.values()] == [1.0, 1.0, 0.0]
+    assert car["worst_drive"] == "b"
+    few = boxes.select(np.flatnonzero(boxes.frame < 20))
+    few_column = MethodColumn(few.distance_m, np.ones(len(few)))
+    assert figures(few, few_column)["car"]["worst_drive"] is None
+
+
 def test_classes_in_order_and_unmeasured_boxes(box_set_of, row):
     boxes = box_set_of(
         a=[

@@ -272,8 +272,8 @@ def test_bias_covariance_stays_valid_over_many_conflicts(listed):
 
 
 def test_correlations_of_the_built_in_methods():
-    """By hand: mono, ground and lane share the contact point; dense and patch matching share the
-    rig."""
+    """By hand: mono, ground and lane share the contact point, mono and ground the horizon; dense and
+    patch matching share the rig."""
     model = ErrorModel.of(methods())
     mono, ground, lane, stereo, sgbm = (
         model.names.index(name) for name in ("mono", "ground", "lane", "stereo", "sgbm")
@@ -285,7 +285,7 @@ def test_correlations_of_the_built_in_methods():
     assert noise[[mono, ground, lane], stereo] == pytest.approx([0, 0, 0])
     assert model.systematic_correlation[stereo, sgbm] == pytest.approx(1.0)
     assert model.systematic_correlation[mono, [ground, lane, stereo]] == pytest.approx(
-        [0, 0.375, 0]
+        [(np.sqrt(0.09 * 0.25) + np.sqrt(0.07 * 0.2)) / np.sqrt(0.64 * 0.45), 0.375, 0]
     )
     assert model.reference.tolist() == [stereo, sgbm]
     assert np.argwhere(model.superseded_by).tolist() == [

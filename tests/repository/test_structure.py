@@ -75,7 +75,8 @@ MOST_STATEMENTS = {
     # boxes from before a confirmation as evidence of the lateral speed (28)
     # changes of a believed size are no motion (41); probabilities of the states of motion (31)
     # a sequential test in place of waiting times, and vehicles that cross and give way (51)
-    "ranging": 7_178,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    # figures of each drive of labelled boxes (13)
+    "ranging": 7_191,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     "api": 106,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
@@ -93,7 +94,8 @@ MOST_STATEMENTS = {
     # the values of a pair with those of its evidence (+20)
     # the mounting of a rig file (2)
     # what happens in a recording, of several drives (17)
-    "cli": 2_439,
+    # a table by drive of labelled distances (23)
+    "cli": 2_462,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (145), several drives together, and intervals of rates (49)

@@ -56,8 +56,16 @@ def test_output_as_table_json_and_markdown(cli, folders, tmp_path):
     assert mono["mean_relative_error_pct"] < 1.0 < plain["mean_relative_error_pct"] < 60.0
     assert mono["bands"][0]["to_m"] == 10.0
     assert "closing_median_error_mps" not in mono
+    assert list(mono["by_drive"]) == ["a", "b", "c"]
+    keys = {"n", "n_tracks", "bias_pct", "within_1_sigma", "within_2_sigma"}
+    assert set(mono["by_drive"]["a"]) == keys
+    assert sum(drive["n"] for drive in mono["by_drive"].values()) == mono["n"]
+    assert mono["worst_drive"] in mono["by_drive"]
     table = (tmp_path / "f.md").read_text()
     assert "| mono |" in table
+    assert f"car by drive, worst: mono {mono['worst_drive']} (" in table
+    assert "| drive | tracks | mono n | mono bias % |" in table
+    assert "log-linear n" not in table  # without a sigma
     assert "mono" in out
     assert "3 folds over 3 sequences" in " ".join(out.split())
 
@@ -132,6 +140,7 @@ def test_packaged_curves_and_chosen_methods(cli, folders, tmp_path):
     assert status == 0
     figures = json.loads((tmp_path / "f.json").read_text())
     assert list(figures["methods"]) == ["ground", "log-linear"]
+    assert "by drive" not in out  # a single one
     assert "the only sequence" in " ".join(out.split())
     assert "packaged" in out
 

@@ -28,6 +28,7 @@ def _ranges(options: RangesOptions) -> None:
     curves = _curves(figures)
     grids = [
         *_grids(figures),
+        *_drive_grids(figures),
         *_literature_grids(figures),
         *(result_files.risk_grids(curves) if curves else ()),
     ]
@@ -79,6 +80,41 @@ def _grids(figures: Mapping[str, Any]) -> list[tables.Grid]:
         n_tracks = max(int(row["n_tracks"]) for row in rows.values())
         grids.append(tables.method_grid(f"{kind}: {n_tracks} tracks", rows, _COLUMNS))
     return grids
+
+
+def _drive_grids(figures: Mapping[str, Any]) -> list[tables.Grid]:
+    """A table per class with a row per drive, of the methods that state a sigma; the title names
+    the worst drive of each. Without a second drive, none.
+    """
+    methods: Mapping[str, Mapping[str, Any]] = figures["methods"]
+    grids = []
+    for kind in dict.fromkeys(kind for row in methods.values() for kind in row):
+        columns, worst, drives = list[tables.Column](), list[str](), list[str]()
+        tracks: list[tables.Column] = []
+        for name, row in methods.items():
+            scores = row.get(kind, {})
+            if scores.get("median_sigma_pct") is None:
+                continue
+            by_drive = scores["by_drive"]
+            drives = list(by_drive)
+            tracks = tables.columns_of(by_drive.values(), [("tracks", "n_tracks", "{:.0f}")])
+            specs = [(f"{name} {heading}", *rest) for heading, *rest in _DRIVE_COLUMNS]
+            columns += tables.columns_of(by_drive.values(), specs)
+            if scores["worst_drive"] is not None:
+                bias_pct = by_drive[scores["worst_drive"]]["bias_pct"]
+                worst.append(f"{name} {scores['worst_drive']} ({bias_pct:+.1f} %)")
+        if len(drives) > 1:
+            title = f"{kind} by drive, worst: {', '.join(worst) or tables.NOTHING}"
+            grids.append(tables.grid_of(title, "drive", drives, [*tracks, *columns]))
+    return grids
+
+
+_DRIVE_COLUMNS: tuple[tables.ColumnSpec, ...] = (
+    ("n", "n", "{:.0f}"),
+    ("bias %", "bias_pct", "{:+.1f}"),
+    (tables.WITHIN_1_HEADING, "within_1_sigma", "{:.0f}", 100.0),
+    (tables.WITHIN_2_HEADING, "within_2_sigma", "{:.0f}", 100.0),
+)
 
 
 _LITERATURE: tuple[tables.ColumnSpec, ...] = (  # metrics of published evaluations
