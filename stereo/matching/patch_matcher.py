@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtri
 
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray
 from track_range.stereo.geometry.frames import ImageView
@@ -35,6 +36,7 @@ from track_range.stereo.matching.subpixel import RefinedSurface, refine_surface
 from track_range.stereo.matching.surface_choice import (
     OtherBoxes,
     SurfaceChoice,
+    are_behind,
     choose_surface,
     features,
 )
@@ -57,6 +59,9 @@ _MIN_EXPECTED_LOG_SIGMA = 0.1  # smallest of these
 _EXPECTED_SUPPORT = 0.06
 # cost by which a surface at the expected disparity may exceed the limit, bits per pixel
 _EXPECTED_COST_BITS = 2.0
+_OUTSIDE = 0.05  # probability outside of two sigma
+# standard deviation of the log disparity of an object of unknown size that its box does not show
+_UNKNOWN_LOG_SIGMA = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,6 +165,30 @@ class SurfaceSearch(NamedTuple):
         )
 
 
+def _sigma_of_none(
+    disparity_px: FloatArray, none: FloatArray, by_size: ExpectedDisparity
+) -> FloatArray:
+    """(N,) standard deviation because none of the surfaces may be the object, px: half the radius
+    about the disparity that holds 95 %, if the object then has the disparity of its size.
+    """
+    is_known = np.isfinite(by_size.disparity_px)
+    expected_px = np.where(is_known, by_size.disparity_px, disparity_px)
+    log_sigma = np.where(
+        is_known, np.hypot(by_size.log_sigma, _MIN_EXPECTED_LOG_SIGMA), _UNKNOWN_LOG_SIGMA
+    )
+    # as a fraction of `none`; from 1 on, the rest holds 95 %
+    outside = np.minimum(_OUTSIDE / np.maximum(none, _OUTSIDE), 1.0 - 1e-9)
+    radius_px = np.abs(expected_px - disparity_px) + log_sigma * expected_px * ndtri(1.0 - outside)
+    return np.where(none > _OUTSIDE, np.maximum(radius_px, 0.0) / 2, 0.0)
+
+
+def _others(known: KnownBoxes, matches: PatchMatches, size_px: FloatArray) -> OtherBoxes:
+    """All boxes with their measured disparities so far, else those of their tracks, else by size."""
+    expected_px = np.where(np.isfinite(known.track_px), known.track_px, size_px)
+    is_measured = np.isfinite(matches.disparity_px)
+    return OtherBoxes(known.xyxy_px, np.where(is_measured, matches.disparity_px, expected_px))
+
+
 class PatchMatcher:
     """Measures the disparities of boxes; stateless."""
 
@@ -191,22 +220,24 @@ class PatchMatcher:
         track_px = self._in_range(prior_px, limit_px)
         expected = by_size or ExpectedDisparity.unknown(n)
         size_px = self._in_range(expected.disparity_px, limit_px)
-        others = OtherBoxes(boxes, np.where(np.isfinite(track_px), track_px, size_px))
-        known = KnownBoxes(boxes, track_px, expected, limit_px, others)
+        known = KnownBoxes(boxes, track_px, expected, limit_px, OtherBoxes(boxes, size_px))
         no_track = known._replace(track_px=np.full(n, np.nan))
         is_usable = outcome == Outcome.MATCHED
         images, search_px = (left, right), self._settings.search_px
-        for part, centre_px, reach_px in (
-            (known, track_px, search_px),
-            (no_track, size_px, self._settings.size_search_px),
+        # Boxes that nearer ones cover come last: their occluders then have disparities.
+        is_behind = are_behind(boxes)
+        for part, centre_px, reach_px, is_part in (
+            (known, track_px, search_px, np.True_),
+            (no_track, size_px, self._settings.size_search_px, ~is_behind),
+            (no_track, size_px, self._settings.size_search_px, is_behind),
         ):
             rows = np.flatnonzero(
-                is_usable & np.isnan(matches.disparity_px) & np.isfinite(centre_px)
+                is_usable & is_part & np.isnan(matches.disparity_px) & np.isfinite(centre_px)
             )
             if len(rows):
-                matches.put(
-                    rows, self._measured_near(*images, part.select(rows), centre_px[rows], reach_px)
-                )
+                seen = part._replace(others=_others(part, matches, size_px)).select(rows)
+                matches.put(rows, self._measured_near(*images, seen, centre_px[rows], reach_px))
+        no_track = no_track._replace(others=_others(no_track, matches, size_px))
         rows = np.flatnonzero(is_usable & np.isnan(matches.disparity_px))
         if len(rows):
             coarse = self._full_range(*images, no_track.select(rows))
@@ -396,7 +427,10 @@ class PatchMatcher:
         for reason, has_failed in checks[::-1]:
             outcome[has_failed] = reason
         is_matched = outcome == Outcome.MATCHED
-        sigma_px = tiles.scale[0] * self._sigma(search, surface)
+        sigma_px = np.hypot(
+            tiles.scale[0] * self._sigma(search, surface),
+            _sigma_of_none(disparity_px, choice.none, known.by_size),
+        )
         measured = (
             np.where(is_matched, disparity_px, np.nan),
             np.where(is_matched, sigma_px, np.nan),

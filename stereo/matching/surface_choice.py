@@ -1,6 +1,12 @@
-"""Which of a box's surfaces is the object: a softmax over the surfaces of a linear score.
+"""Which of a box's surfaces is the object, if any: a softmax over the surfaces of a linear score.
 
-    P(s) = exp(theta . phi(s)) / sum over the surfaces t of exp(theta . phi(t))
+    P(s) = (1 - Q) exp(theta . phi(s)) / sum over the surfaces t of exp(theta . phi(t))
+    Q    = 1 / (1 + exp(-eta . phi(best)))
+
+Q is the probability that none of the surfaces is the object: a box may show too little of an object
+behind a post, a fence or a nearer vehicle, and only its occluder matches. It depends on the best
+surface: whether it has the disparity of another box of the frame and is too near for the size of its
+own, is small, or matches badly.
 
 The features phi are where a surface lies in the box, how well it matches, whether other surfaces
 are in front of or behind it, and how its disparity agrees with what is known about the object: its
@@ -9,6 +15,7 @@ the box; the background is behind, at the box's corners; the object surrounds it
 it is seen on both sides.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +40,9 @@ _NEARER, _FARTHER = 1.03, 0.97
 _OTHER_BOX_RATIO = 1.15
 # largest relative difference of a surface from the disparity of another box it belongs to
 _OTHER_BOX_FRACTION = 0.12
+
+# fraction of a box inside a nearer one from which it may show the nearer object
+_COVERED_FRACTION = 0.02
 
 THETA = {
     "area": 0.27,
@@ -60,13 +70,27 @@ of 2, on the scenario `occlusion` of the simulation, seeds 0-19, with and withou
 (`python -m benchmarks surface_choice`)."""
 
 
+ETA = {
+    "constant": -4.32,
+    "of_other_box": 2.69,
+    "of_other_box_and_nearer_than_size": 0.64,
+    "cost": 0.26,
+    "area": -1.03,
+}
+"""eta: logistic regression of "none of the surfaces is within 10 % of the object" on the features of
+the best surface, on the same drives with all objects that are hidden by less than 85 %
+(`python -m benchmarks surface_choice`). A surface that is too near for the size counts only in the
+box of another object: a child is nearer than the size of a person lets expect."""
+
+
 @dataclass(frozen=True, slots=True)
 class SurfaceChoice:
     """The object's surface in each of N boxes."""
 
     chosen: IntArray  # (N,) number of the surface
-    # (S, N) probability of each surface; they sum to 1, or are 0 for boxes without a surface
+    # (S, N) probability of each surface; they sum to 1 - `none`, or are 0 for boxes without a surface
     probability: FloatArray
+    none: FloatArray  # (N,) probability that none of the surfaces is the object
     n_surfaces: IntArray  # (N,) number of surfaces with at least two windows
 
 
@@ -98,12 +122,24 @@ class OtherBoxes:
         left, top, right, bottom = self.xyxy_px.T[:, :, None, None]
         with np.errstate(invalid="ignore", divide="ignore"):
             ratio = np.abs(np.log(self.expected_px[:, None] / expected_px[None, :]))
-            is_other = ratio > np.log(_OTHER_BOX_RATIO)  # (other, box); False where unknown
+            is_itself = (self.xyxy_px[:, None] == xyxy_px).all(axis=2)
+            # (other, box); False where unknown
+            is_other = (ratio > np.log(_OTHER_BOX_RATIO)) & ~is_itself
             is_same = (
                 np.abs(disparity_px / self.expected_px[:, None, None] - 1.0) < _OTHER_BOX_FRACTION
             )
         is_inside = (x_px > left) & (x_px < right) & (y_px > top) & (y_px < bottom)  # (other, N, G)
         return np.asarray((is_inside & is_same & is_other[:, :, None]).any(axis=0), np.float64)
+
+
+def are_behind(xyxy_px: FloatArray) -> BoolArray:
+    """(N,) boxes (N, 4) of which another box, which ends lower and so is nearer, covers a part."""
+    is_lower = xyxy_px[:, 3] > xyxy_px[:, 3, None]  # (box, other)
+    first_px = np.maximum(xyxy_px[:, None, :2], xyxy_px[:, :2])
+    last_px = np.minimum(xyxy_px[:, None, 2:], xyxy_px[:, 2:])
+    covered_px2 = is_lower * np.maximum(last_px - first_px, 0.0).prod(axis=2)
+    area_px2 = (xyxy_px[:, 2:] - xyxy_px[:, :2]).prod(axis=1)
+    return np.asarray(covered_px2.max(axis=1, initial=0.0) > _COVERED_FRACTION * area_px2)
 
 
 def features(
@@ -181,9 +217,34 @@ def choose_surface(phi: dict[str, FloatArray], surfaces: Surfaces) -> SurfaceCho
     with np.errstate(invalid="ignore"):
         likelihood = np.where(np.isfinite(score), np.exp(score - best), 0.0)
     probability = likelihood / np.maximum(likelihood.sum(axis=0), 1e-12)
+    chosen = score.argmax(axis=0)
+    none = np.where(np.isfinite(best), _none_probability(phi, chosen), 1.0)
     return SurfaceChoice(
-        score.argmax(axis=0), probability, (surfaces.is_member.sum(axis=2) >= 2).sum(axis=0)
+        chosen,
+        probability * (1.0 - none),
+        none,
+        (surfaces.is_member.sum(axis=2) >= 2).sum(axis=0),
     )
+
+
+def none_features(best: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """The features of Q by name, (N,) each, from the features phi of the best surfaces, (N,) each."""
+    of_other_box = best["of_other_box"]
+    return {
+        "constant": np.ones_like(of_other_box),
+        "of_other_box": of_other_box,
+        "of_other_box_and_nearer_than_size": of_other_box * best["nearer_than_size_squared"],
+        "cost": best["cost"],
+        "area": best["area"],
+    }
+
+
+def _none_probability(phi: Mapping[str, FloatArray], chosen: IntArray) -> FloatArray:
+    """(N,) Q, from the features (S, N) of the best surfaces (N,)."""
+    rows = np.arange(len(chosen))
+    features = none_features({name: values[chosen, rows] for name, values in phi.items()})
+    score = sum(eta * features[name] for name, eta in ETA.items())
+    return np.asarray(1.0 / (1.0 + np.exp(-np.asarray(score))))
 
 
 def _deviation(

@@ -14,6 +14,7 @@ from track_range.stereo.matching.surface_choice import (
     THETA,
     OtherBoxes,
     SurfaceChoice,
+    are_behind,
     choose_surface,
     features,
 )
@@ -112,7 +113,8 @@ def test_probability_grows_towards_the_expected_size() -> None:
         near = int(np.nanargmax(surfaces.disparity[:, 0]))
         probability.append(choose_surface(phi, surfaces).probability[near, 0])
     assert (np.diff(probability) > 0).all()
-    assert probability[0] < 0.2 < 0.8 < probability[-1]
+    # half of the box shows another surface, so that none may be the object, too (0.06)
+    assert probability[0] < 0.2 < 0.75 < probability[-1]
 
 
 @pytest.mark.parametrize(
@@ -121,7 +123,7 @@ def test_probability_grows_towards_the_expected_size() -> None:
 def test_probabilities_sum_to_1(disparity: FloatArray) -> None:
     for by_size_px in (NONE, 20.0, 1e-3, 1e6):
         choice = choice_of(disparity, by_size_px=by_size_px, track_px=by_size_px)
-        assert choice.probability.sum(axis=0) == pytest.approx([1.0])
+        assert choice.probability.sum(axis=0) + choice.none == pytest.approx([1.0])
         assert (choice.probability >= 0).all()
         assert choice.probability[choice.chosen[0], 0] == choice.probability.max()
 
@@ -129,12 +131,13 @@ def test_probabilities_sum_to_1(disparity: FloatArray) -> None:
 def test_boxes_without_a_surface() -> None:
     choice = choose_surface(*features_of(HALVES, weight=np.zeros((1, 49))))
     assert choice.probability.tolist() == [[0.0]] * 3
-    assert choice.n_surfaces.tolist() == [0]
+    assert (choice.n_surfaces.tolist(), choice.none.tolist()) == ([0], [1.0])
 
 
 def test_n_surfaces() -> None:
     assert choice_of(np.full((1, 49), 25.0)).n_surfaces.tolist() == [1]
-    assert choice_of(np.full((1, 49), 25.0)).probability[0, 0] == 1.0
+    single_choice = choice_of(np.full((1, 49), 25.0))
+    assert single_choice.probability[0, 0] == 1.0 - single_choice.none[0] > 0.95
     assert choice_of(HALVES).n_surfaces.tolist() == [2]
     assert choice_of(np.select([U < -0.2, U > 0.2], [45.0, 15.0], 26.0)).n_surfaces.tolist() == [3]
     single = np.full((1, 49), 25.0)
@@ -177,6 +180,33 @@ def test_surface_of_another_box_is_less_probable() -> None:
     assert probability[1] < 0.7 * probability[0]
 
 
+def test_a_single_surface_is_that_of_a_nearer_box() -> None:
+    """A box shows one surface at 40 px: its object, also if its size lets expect 20 px, or that of
+    another box."""
+
+    def none_of(by_size_px: float, fraction: float) -> float:
+        phi, surfaces = features_of(
+            np.full((1, 49), 40.0),
+            by_size_px=by_size_px,
+            others_fraction=np.full((1, 49), fraction),
+        )
+        return float(choose_surface(phi, surfaces).none[0])
+
+    assert none_of(20.0, 0.0) == none_of(40.0, 0.0) < 0.05  # a child, or the usual size
+    assert 0.1 < none_of(40.0, 1.0) < none_of(28.0, 1.0) < none_of(20.0, 1.0)
+    assert none_of(20.0, 1.0) > 0.95
+
+
+def test_boxes_behind_others_by_hand() -> None:
+    """A car, one that it covers, one that it covers by 1 %, and one apart; a lower box is nearer."""
+    boxes = np.array(
+        [(100, 100, 200, 180), (150, 100, 230, 160), (199, 100, 279, 160), (400, 100, 500, 190)]
+    )
+    assert are_behind(boxes.astype(np.float64)).tolist() == [False, True, False, False]
+    assert are_behind(boxes[[0, 2]].astype(np.float64)).tolist() == [False, False]
+    assert are_behind(np.zeros((0, 4))).tolist() == []
+
+
 def of_others(
     boxes: FloatArray, expected_px: FloatArray, tiles: BoxTiles, disparity_px: FloatArray
 ) -> FloatArray:
@@ -196,6 +226,11 @@ def test_windows_of_other_boxes_by_hand() -> None:
     assert not of_others(boxes, np.array([20.0, 40.0]), tiles, at_20)[0].any()
     for expected_px in ([20.0, 21.0], [NONE, 40.0], [20.0, NONE]):  # equally far, or unknown
         assert not of_others(boxes, np.array(expected_px), tiles, at_40)[0].any()
+    # a box is no other one to itself, though its size is wrong
+    itself = OtherBoxes(boxes[:1], np.array([40.0]))
+    assert not itself.windows(
+        boxes[:1], np.array([20.0]), tiles_of(None, EXACT_BOX), at_40[:1]
+    ).any()
     # the background of a nearer object
     farther = of_others(boxes, np.array([40.0, 20.0]), tiles, at_20)
     assert np.array_equal(farther[0] == 1.0, x_px < 219.0)

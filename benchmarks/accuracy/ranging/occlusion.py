@@ -14,6 +14,7 @@ from scipy.optimize import minimize
 
 from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs.occlusion_pairs import (
+    MAX_COVERED_FRACTION,
     CoveredObjects,
     OcclusionPair,
     is_scored,
@@ -37,7 +38,7 @@ from track_range.stereo.matching.patch_matcher import (
     SurfaceSearch,
 )
 from track_range.stereo.matching.patch_matches import ExpectedDisparity
-from track_range.stereo.matching.surface_choice import OtherBoxes
+from track_range.stereo.matching.surface_choice import THETA, OtherBoxes, none_features
 
 MATCHERS = ("patch", "sgbm", "sgbm-hh")
 REFERENCE = "sgbm-hh"  # matcher with which the failures of the others are compared
@@ -47,6 +48,9 @@ KINDS = ("none", "pole", "sign", "fence", "bush", "road user", "scenery")
 
 COVERED = ((-1.0, 0.0), (0.0, 0.25), (0.25, 0.5), (0.5, 0.75))
 """Intervals of the covered share, without the lower and with the upper end; the first one is 0."""
+
+HIDDEN = "hidden 50-85 %"  # group of objects that count in no other one
+GROSS_ERROR, GROSS_SIGMA = 0.1, 3.0  # an error above both is gross, relative and in sigmas
 
 PARTS: dict[str, Callable[[range], Iterator[OcclusionPair]]] = {
     "unrelated": unrelated_pairs,
@@ -90,18 +94,21 @@ def _ratios(by_matcher: Mapping[str, dict[str, Any]]) -> dict[str, float]:
 
 class _Measured:
     def __init__(self, pairs: Iterator[OcclusionPair], matchers: Sequence[str]) -> None:
-        scored, parts = list[BoolArray](), list[tuple[CoveredObjects, IntArray, list[str]]]()
+        kept, parts = list[BoolArray](), list[tuple[CoveredObjects, IntArray, list[str]]]()
+        scored: list[BoolArray] = []
 
         def recorded() -> Iterator[StereoPair]:
             for image in pairs:
-                scored.append(is_scored(image.objects, image.pair))
-                objects = image.objects.select(scored[-1])
-                names = np.array(image.pair.class_names, np.str_)[scored[-1]].tolist()
+                of_choice = is_scored(image.objects, image.pair)
+                kept.append(of_choice | _is_hidden(image.objects))
+                scored.append(of_choice[kept[-1]])
+                objects = image.objects.select(kept[-1])
+                names = np.array(image.pair.class_names, np.str_)[kept[-1]].tolist()
                 parts.append((objects, np.full(len(objects), image.seed), names))
                 yield image.pair
 
         results = measure_pairs(recorded(), matchers, expected=expected_disparities)
-        rows = np.concatenate(scored)
+        rows, self.is_scored = np.concatenate(kept), np.concatenate(scored)
         objects, seeds, names = zip(*parts, strict=True)
         self.objects: Objects = replace(results.objects.select(rows), group=np.concatenate(seeds))
         self.columns: dict[str, MatcherColumn] = {
@@ -123,10 +130,25 @@ class _Measured:
             f"class {name}": self.class_name == name
             for name in ("car", "truck", "person", "bicycle")
         }
-        return groups | {
-            "box of visible part": self.is_modal,
-            "box of whole object": ~self.is_modal,
-        }
+        groups |= {"box of visible part": self.is_modal, "box of whole object": ~self.is_modal}
+        scored = {name: rows & self.is_scored for name, rows in groups.items()}
+        return scored | {HIDDEN: ~self.is_scored}
+
+
+def _is_hidden(objects: CoveredObjects) -> BoolArray:
+    """(N,) objects that are covered by more than a half, but not wholly."""
+    is_hidden = objects.covered_fraction > MAX_COVERED_FRACTION
+    is_hidden &= objects.covered_fraction <= MOST_COVERED
+    return np.asarray(is_hidden & ~objects.is_cut & (objects.kitti_type != "TrafficSign"))
+
+
+def _gross_pct(column: MatcherColumn, objects: Objects) -> float | None:
+    """Percentage of the measured objects that are more than 10 % and three sigma off."""
+    is_measured = np.isfinite(column.disparity_px)
+    error_px = np.abs(column.disparity_px - objects.true_px)[is_measured]
+    is_gross = error_px > GROSS_SIGMA * column.sigma_px[is_measured]
+    is_gross &= error_px > GROSS_ERROR * objects.true_px[is_measured]
+    return 100 * float(is_gross.mean()) if len(is_gross) else None
 
 
 def _figures(parts: Sequence[_Measured]) -> dict[str, dict[str, dict[str, Any]]]:
@@ -148,6 +170,7 @@ def _figures(parts: Sequence[_Measured]) -> dict[str, dict[str, dict[str, Any]]]
                 )
             )
             figures[group][name] = figures_with_intervals(column, objects)
+            figures[group][name]["gross_pct"] = _gross_pct(column, objects)
     return figures
 
 
@@ -169,6 +192,17 @@ of the occluder."""
 # largest difference between the relative errors of a surface and of the best one if both are right
 AS_GOOD = 0.03
 PENALTY = 2.0  # weight of the squared coefficients of the standardised features
+NONE_PENALTY = 0.5  # the same for the probability that no surface is the object
+# smallest relative error of the best surface if none of them is the object
+NONE_ERROR = 0.1
+# largest covered share of objects of this probability, and their weight if they are covered by more
+# than a half: a detector finds a third to a half of them, and the scenario has many
+MOST_COVERED, HIDDEN_WEIGHT = 0.85, 0.3
+# of the measured disparities of other boxes that are not covered by more than a half
+OTHERS_LOG_SIGMA = 0.02
+# share of objects whose sizes have a further error, and the standard deviation of its logarithm:
+# classes are wrong, and cars of a street differ from the model's
+WILD_FRACTION, WILD_LOG_SIGMA = 0.2, 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,13 +221,15 @@ class _Examples:
         return np.asarray(self.error <= np.minimum(FAILURE, self.error.min(axis=0) + AS_GOOD))
 
     def select(self, rows: BoolArray) -> _Examples:
-        return _Examples(self.features[:, rows], self.error[:, rows], self.seed[rows])
+        return _Examples(
+            self.features[:, rows], self.error[:, rows], self.seed[rows], self.is_scored[rows]
+        )
 
 
 @workload(option("--seeds", default=20, help="number of drives, from seed 0"))
 def surface_choice(options: Namespace) -> Figures:
-    """Fit of the probabilities of a box's surfaces (`stereo.matching.surface_choice.THETA`), with
-    cross-validation.
+    """Fit of the probabilities of a box's surfaces, and that none of them is the object
+    (`stereo.matching.surface_choice.THETA`, `ETA`), with cross-validation of the choice.
     """
     parts: dict[str, list[_Examples]] = {way: [] for way in WAYS}
     names: list[str] = []
@@ -202,13 +238,40 @@ def surface_choice(options: Namespace) -> Figures:
         for way, search, rows in _searches(image, rng):
             names = list(search.phi)
             parts[way].append(_examples(search, image, rows))
-    examples = {way: _joined(part) for way, part in parts.items()}
+    of_all = {way: _joined(part) for way, part in parts.items()}
+    examples = {way: part.select(part.is_scored) for way, part in of_all.items()}
     halves = [
         _fit([part.select(part.seed % 2 != half) for part in examples.values()]) for half in (0, 1)
     ]
     failures = {way: _failures(part, halves) for way, part in examples.items()}
     theta = dict(zip(names, np.round(_fit(list(examples.values())), 2).tolist(), strict=True))
-    return {"theta": theta, "failures": failures}
+    eta = _fit_none(_joined(list(of_all.values())), names)
+    return {"theta": theta, "eta": eta, "failures": failures}
+
+
+def _fit_none(examples: _Examples, names: list[str]) -> dict[str, float]:
+    """Coefficients of the probability that none of the surfaces is the object, by the features of
+    the chosen one.
+    """
+    theta = np.array([THETA[name] for name in names])
+    score = np.where(np.isfinite(examples.error), examples.features @ theta, -np.inf)
+    best = examples.features[score.argmax(axis=0), np.arange(len(examples.seed))]
+    features = none_features(dict(zip(names, best.T, strict=True)))
+    values = np.stack(list(features.values()), axis=1)
+    scale = np.array([1.0, *(values[:, 1:].std(axis=0) + 1e-6)])  # the first one is the constant
+    rows = values / scale
+    is_none = examples.error.min(axis=0) > NONE_ERROR
+    weight = np.where(examples.is_scored, 1.0, HIDDEN_WEIGHT)
+    penalty = NONE_PENALTY * (np.arange(len(scale)) > 0)
+
+    def loss(eta: FloatArray) -> tuple[float, FloatArray]:
+        score = rows @ eta
+        likelihood = weight @ (np.logaddexp(0.0, score) - is_none * score)
+        gradient = rows.T @ (weight * (1.0 / (1.0 + np.exp(-score)) - is_none))
+        return float(likelihood + penalty @ eta**2), gradient + 2 * penalty * eta
+
+    eta = minimize(loss, np.zeros(len(penalty)), jac=True).x / scale
+    return dict(zip(features, np.round(eta, 2).tolist(), strict=True))
 
 
 def _searches(
@@ -216,7 +279,8 @@ def _searches(
 ) -> Iterator[tuple[str, SurfaceSearch, IntArray]]:
     pair, objects = image.pair, image.objects
     settings = PatchMatcherSettings.for_rig(pair.rig)
-    matcher, by_size, n = PatchMatcher(settings), expected_disparities(pair), len(pair.true_px)
+    matcher, n = PatchMatcher(settings), len(pair.true_px)
+    by_size = _with_wild_sizes(expected_disparities(pair), rng)
     height, width = pair.left.shape[:2]
     boxes = np.clip(pair.xyxy_px, -0.5, np.array([width, height, width, height]) - 0.5)
     limit_px = np.full(n, float(settings.max_disparity_px))
@@ -227,6 +291,10 @@ def _searches(
         pair.true_px * np.exp(rng.normal(0, TRACK_LOG_SIGMA, n)),
     )
     no_track, no_size = np.full(n, np.nan), ExpectedDisparity.unknown(n)
+    measured_px = pair.true_px * np.exp(rng.normal(0, OTHERS_LOG_SIGMA, n))
+    is_seen = objects.covered_fraction < MAX_COVERED_FRACTION
+    is_fitted = ~objects.is_cut & (objects.kitti_type != "TrafficSign")
+    is_fitted &= objects.covered_fraction <= MOST_COVERED
     is_large = (boxes[:, 2:] - boxes[:, :2]).min(axis=1) >= settings.min_side_px
     for way, track, size in zip(
         WAYS,
@@ -235,8 +303,10 @@ def _searches(
         strict=True,
     ):
         centre_px = by_size.disparity_px if way == "size" else track
-        known = KnownBoxes(boxes, track, size, limit_px, OtherBoxes(boxes, centre_px))
-        is_searched = is_large & is_scored(objects, pair)
+        is_measured = is_seen & (way in ("size", "full range"))
+        others = OtherBoxes(boxes, np.where(is_measured, measured_px, centre_px))
+        known = KnownBoxes(boxes, track, size, limit_px, others)
+        is_searched = is_large & is_fitted
         if way != "full range":
             is_searched &= (centre_px >= settings.min_disparity_px) & (centre_px <= limit_px)
         rows = np.flatnonzero(is_searched)
@@ -255,12 +325,24 @@ def _searches(
             )
 
 
+def _with_wild_sizes(by_size: ExpectedDisparity, rng: np.random.Generator) -> ExpectedDisparity:
+    n = len(by_size.disparity_px)
+    is_wild = rng.random(n) < WILD_FRACTION
+    error = np.where(is_wild, rng.normal(0, WILD_LOG_SIGMA, n), 0.0)
+    return replace(by_size, disparity_px=by_size.disparity_px * np.exp(error))
+
+
 def _examples(search: SurfaceSearch, image: OcclusionPair, rows: IntArray) -> _Examples:
     with np.errstate(invalid="ignore", divide="ignore"):
         error = np.abs(image.pair.true_px[rows] / search.disparity_px - 1.0)
     is_surface = np.isfinite(search.surfaces.centre) & (search.surfaces.disparity > 0)
     features = np.where(is_surface[..., None], np.stack(list(search.phi.values()), axis=2), 0.0)
-    return _Examples(features, np.where(is_surface, error, np.inf), np.full(len(rows), image.seed))
+    return _Examples(
+        features,
+        np.where(is_surface, error, np.inf),
+        np.full(len(rows), image.seed),
+        is_scored(image.objects, image.pair)[rows],
+    )
 
 
 def _joined(parts: list[_Examples]) -> _Examples:
@@ -268,6 +350,7 @@ def _joined(parts: list[_Examples]) -> _Examples:
         np.concatenate([part.features for part in parts], axis=1),
         np.concatenate([part.error for part in parts], axis=1),
         np.concatenate([part.seed for part in parts]),
+        np.concatenate([part.is_scored for part in parts]),
     )
 
 
