@@ -41,6 +41,8 @@ _OTHER_BOX_RATIO = 1.15
 # largest relative difference of a surface from the disparity of another box it belongs to
 _OTHER_BOX_FRACTION = 0.12
 
+# standard deviations from the size that objects of a class have
+_TOO_NEAR_SIGMA = 3.0
 # fraction of a box inside a nearer one from which it may show the nearer object
 _COVERED_FRACTION = 0.02
 
@@ -71,16 +73,18 @@ of 2, on the scenario `occlusion` of the simulation, seeds 0-19, with and withou
 
 
 ETA = {
-    "constant": -4.32,
-    "of_other_box": 2.69,
-    "of_other_box_and_nearer_than_size": 0.64,
-    "cost": 0.26,
-    "area": -1.03,
+    "constant": -4.31,
+    "of_other_box": 2.83,
+    "of_other_box_and_nearer_than_size": 0.56,
+    "too_near_for_size": 3.73,
+    "cost": 0.24,
+    "area": -1.06,
 }
 """eta: logistic regression of "none of the surfaces is within 10 % of the object" on the features of
 the best surface, on the same drives with all objects that are hidden by less than 85 %
-(`python -m benchmarks surface_choice`). A surface that is too near for the size counts only in the
-box of another object: a child is nearer than the size of a person lets expect."""
+(`python -m benchmarks surface_choice`). Deviations from the size count from
+3 standard deviations on, and smaller ones only in the box of another object: a child is nearer than
+the size of people lets expect."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,6 +238,7 @@ def none_features(best: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         "constant": np.ones_like(of_other_box),
         "of_other_box": of_other_box,
         "of_other_box_and_nearer_than_size": of_other_box * best["nearer_than_size_squared"],
+        "too_near_for_size": np.maximum(best["nearer_than_size"] - _TOO_NEAR_SIGMA, 0.0) ** 2,
         "cost": best["cost"],
         "area": best["area"],
     }

@@ -192,7 +192,8 @@ def test_a_single_surface_is_that_of_a_nearer_box() -> None:
         )
         return float(choose_surface(phi, surfaces).none[0])
 
-    assert none_of(20.0, 0.0) == none_of(40.0, 0.0) < 0.05  # a child, or the usual size
+    assert none_of(24.0, 0.0) == none_of(40.0, 0.0) < 0.05  # a child, or the usual size
+    assert 0.1 < none_of(20.0, 0.0) < 0.6  # 3.8 sigma: an object of a wrong class, or an occluder
     assert 0.1 < none_of(40.0, 1.0) < none_of(28.0, 1.0) < none_of(20.0, 1.0)
     assert none_of(20.0, 1.0) > 0.95
 
