@@ -51,8 +51,8 @@ MOST_STATEMENTS = {
     # cameras that look aside, found by their images (61)
     # a mounting that motion contradicts (6)
     # values of a mounting that are no numbers (3)
-    # the probability that a box shows nothing of its object, and occluders measured first (38)
-    "stereo": 9_502,
+    # the probability that a box shows nothing of its object, and occluders measured first (39)
+    "stereo": 9_503,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
