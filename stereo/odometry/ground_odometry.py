@@ -109,6 +109,7 @@ _TRAVEL_SIGMA_RAD = 0.004
 _TRAVEL_TIME_S = 1.0  # time constant with which the direction to the side follows the epipole
 _MIN_ALONG = 0.7  # cosine between the axis and the drive, of a camera that looks ahead or back
 _SLOWEST_MPS = 0.1  # of a camera that is not at rest
+_REST_S = 0.5  # time for which near points stay in place, after which an unknown speed is 0
 _UNKNOWN_SIGMA = 0.03  # relative standard deviation of a speed without one
 
 
@@ -150,6 +151,7 @@ class GroundOdometry:
         self._speed_mps = _FULL_MPS
         self._past: deque[_Picture] = deque()  # earlier frames, and at the end the last one
         self._span_s = 0.0  # of the last measurement
+        self._still_s = 0.0  # time for which near points have been in place
         self._last = math.nan, EgoMotion()
         self.motion = ImageMotion(time_s=math.nan)  # between the last two frames
         self.has_horizon = False  # whether the horizon was measured so far
@@ -237,7 +239,10 @@ class GroundOdometry:
         if is_moving and math.isfinite(side):
             self._follow_side(side, dt_s)
             self._direction.add(dt_s, side, motion.yaw_rad_s)
-        shift_m, by_plane = 0.0 if motion.is_still else math.nan, 0.0
+        self._still_s = self._still_s + dt_s if motion.is_near_still else 0.0
+        # distant points stay in place in motion, too, and on a road without texture all seem to
+        is_sure = self._filter.is_known or self._still_s >= _REST_S
+        shift_m, by_plane = 0.0 if motion.is_still and is_sure else math.nan, 0.0
         before = self._before(motion) if is_moving else self._past[-1]
         if is_moving and math.isfinite(self._side):
             shift_m, by_plane = self._shift_m(before, now, dt_s)
@@ -247,7 +252,7 @@ class GroundOdometry:
         common_mps = math.hypot(_SCALE_SIGMA, by_plane) * abs(shift_m / span_s)
         measured = shift_m / span_s, independent_mps, common_mps
         if is_moving and self._depth is not None:
-            measured = self._depth.checked(motion, measured)
+            measured = self._depth.checked(motion, measured, self._filter)
         speed = self._filter.update(motion.time_s, span_s, *measured)
         if math.isfinite(speed[0]):
             self._speed_mps = speed[0]
@@ -257,9 +262,8 @@ class GroundOdometry:
         )
         if is_moving:
             self._measure_horizon(row)
-        return EgoMotion(
-            *speed, motion.yaw_rad_s, motion.is_still, noise_mps=self._filter.noise_mps
-        )
+        is_still = self._filter.is_rest(speed, shows_rest=motion.is_still)
+        return EgoMotion(*speed, motion.yaw_rad_s, is_still, noise_mps=self._filter.noise_mps)
 
     def _before(self, motion: ImageMotion) -> "_Picture":
         """The frame whose picture is compared: the earliest one that is near enough."""

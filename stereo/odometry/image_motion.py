@@ -57,7 +57,13 @@ _MAX_COST = 9.0  # of one point, in the cost of a fit
 _MAX_RESIDUAL_PX = 0.5  # largest distance of a static point from its epipolar line
 _MIN_FEATURES = 16  # minimum number of static points
 _MIN_STATIC_FRACTION = 0.4  # minimum fraction of static points among the tracked ones
-_MAX_STILL_PX = 0.1  # largest median motion of the static points of a camera at rest
+# of a camera at rest: largest median motion of the static points, and the largest one of nearly all
+# of them. Clouds and hills stay in place in a drive, and may be most of the corners; near points
+# move by more.
+_MAX_STILL_PX, _MAX_NEAR_PX, _STILL_SHARE = 0.1, 0.5, 0.9
+# tangent below the horizon from which the ground is near, 25 m for a camera at 1.5 m, and the least
+# number of its points
+_NEAR_SLOPE, _MIN_NEAR = 0.06, 5
 _MAX_GAP_S = 0.6  # longest time between two frames
 # smallest part of a unit translation along the axis of travel; a smaller one is no usual motion
 _MIN_FORWARD = 0.5
@@ -81,6 +87,8 @@ class ImageMotion:
     # slopes of the direction of travel to the right of and below the axis of travel, NaN = unknown
     travel: tuple[float, float] = (math.nan, math.nan)
     is_still: bool = False  # whether the camera is at rest; False if unknown
+    # whether near points show it: distant ones stay in place in motion, too
+    is_near_still: bool = False
 
     @property
     def is_known(self) -> bool:
@@ -176,10 +184,11 @@ class ImageMotionEstimator:
             return ImageMotion(time_s=time_s, dt_s=dt_s)
         turned = _turned(before, np.asarray(cv2.Rodrigues(fit.rotation)[0], np.float64))
         motion_px = focal_px * np.linalg.norm((now - turned)[fit.is_static], axis=1)
-        is_still = bool(median_of(motion_px) <= _MAX_STILL_PX)
+        is_in_place = bool(median_of(motion_px) <= _MAX_STILL_PX)
+        is_still = is_in_place and bool((motion_px <= _MAX_NEAR_PX).mean() >= _STILL_SHARE)
         x, y, backward = (self._travel_from_camera @ fit.direction).tolist()
         travel = math.nan, math.nan
-        if not is_still:
+        if not is_in_place:  # few points that move show no direction: they may be a vehicle
             self._direction, self._direction_variance = fit.direction, fit.direction_variance
             if abs(backward) >= _MIN_FORWARD:
                 travel = x / backward, y / backward
@@ -199,7 +208,15 @@ class ImageMotionEstimator:
             expansion_sigma_hz=growth_sigma / dt_s,
             travel=travel,
             is_still=is_still,
+            is_near_still=is_still and self._n_near(before[fit.is_static]) >= _MIN_NEAR,
         )
+
+    def _n_near(self, rays: FloatArray) -> int:
+        """Number of rays (N, 3) to near places of the ground."""
+        right, down, forward = self._travel_from_camera @ np.vstack([rays, self._direction]).T
+        slope = down / np.hypot(right, forward)
+        # the direction of the translation of the scene is against that of travel
+        return int((slope[:-1] + slope[-1] > _NEAR_SLOPE).sum())
 
 
 @dataclass(frozen=True, slots=True)

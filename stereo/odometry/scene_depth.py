@@ -5,11 +5,16 @@ r"""SceneDepth: depth of the static scene as a rough measure of the speed where 
 The logarithm of Z is a random walk, which a Kalman filter follows while the road shows the speed:
 within a drive, it changes by 10 to 20 % in some seconds. A shift of the road that would need a very
 different depth is that of something else, such as a vehicle ahead that has no box.
+
+The depth may also change at once: behind the last lamps of a junction, only clouds and hills have
+corners. The dynamic of a car tells both apart (`SpeedFilter.reaches`): if no car reaches the speed
+by the depth from the last speed, the depth has changed.
 """
 
 import math
 
 from track_range.stereo.odometry.image_motion import ImageMotion
+from track_range.stereo.odometry.speed_filter import SpeedFilter
 
 # of drives in cities and on motorways, and the standard deviation of its logarithm
 _USUAL_M, _USUAL_SIGMA = 30.0, 0.5
@@ -18,6 +23,7 @@ _USUAL_M, _USUAL_SIGMA = 30.0, 0.5
 _DRIFT, _NOISE = 0.15, 0.1
 _MAX_SIGMA = 0.45  # of the logarithm of a depth that shows a speed
 _OUTLIER_SIGMA = 3.0  # beyond which a speed does not fit the depth
+_UNKNOWN_SIGMA = 3.0  # of the logarithm of a depth that changed at once: clouds, a wall
 _MIN_SPEEDS = 5  # number of speeds that a depth needs: a single one may be wrong
 
 
@@ -31,19 +37,32 @@ class SceneDepth:
         self._n_speeds = 0
 
     def checked(
-        self, motion: ImageMotion, by_road: tuple[float, float, float]
+        self, motion: ImageMotion, by_road: tuple[float, float, float], before: SpeedFilter
     ) -> tuple[float, float, float]:
         """A speed by the road with its standard deviations, of the frame and lasting, if it fits
-        the images of the next frame; otherwise the speed by the depth of the scene.
+        the images of the next frame, or else the speed by the depth of the scene, if a car reaches
+        it from the speeds `before`; NaN = neither.
         """
-        by_depth = self.speed(motion)
-        return by_road if by_road[0] > 0 and self.fits(motion, by_road[0]) else by_depth
+        speed_mps, noise_mps, lasting_mps = by_depth = self.speed(motion)
+        if by_road[0] > 0 and self.fits(motion, by_road[0]):
+            return by_road
+        middle_s = motion.time_s - motion.dt_s / 2
+        # also for NaN
+        if not speed_mps >= 0 or before.reaches(
+            middle_s, speed_mps, math.hypot(noise_mps, lasting_mps)
+        ):
+            return by_depth
+        self._variance, self._n_speeds = _UNKNOWN_SIGMA**2, 0
+        if before.reaches(middle_s, *by_road[:2]) and self.fits(motion, by_road[0]):
+            return by_road
+        return math.nan, math.nan, math.nan
 
     def speed(self, motion: ImageMotion) -> tuple[float, float, float]:
         """Speed by the motion of the next frame, its standard deviation in this frame, and the one
         that lasts; NaN = unknown.
         """
-        self._variance = min(self._variance + _DRIFT**2 * motion.dt_s, _USUAL_SIGMA**2)
+        drifted = min(self._variance + _DRIFT**2 * motion.dt_s, _USUAL_SIGMA**2)
+        self._variance = max(self._variance, drifted)
         sigma = math.sqrt(self._variance)
         speed_mps = motion.expansion_hz * math.exp(self._log_depth)
         # False for NaN

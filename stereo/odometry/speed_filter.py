@@ -6,6 +6,9 @@ frames.
 A mean speed over dt is the speed dt / 2 ago, so the result is predicted by dt / 2. The sigma of a
 measurement has an independent part, which averages out, and a systematic one, which is added at the
 output.
+
+A speed that no car reaches from the last one is that of something else: it is not used, the speed
+is predicted, soon unknown, and starts again with a speed that is within reach.
 """
 
 import math
@@ -23,7 +26,12 @@ _OUTLIER_SIGMA = 4.0  # innovations beyond this number of standard deviations ar
 _LARGE_STEP_M = 4.0
 # weight of one measurement in the spread of the measurements, and largest spread of one
 _SPREAD_GAIN, _MAX_SPREAD2 = 0.15, 400.0
-_MAX_OUTLIERS = 3  # number of consecutive outliers after which the filter starts again
+# number of consecutive outliers within reach after which the filter starts again
+_MAX_OUTLIERS = 3
+_MAX_ACCELERATION_MPS2 = 10.0  # of a car that brakes fully on a dry road
+_REACH_SIGMA = 3.0  # errors of two speeds that may lie between them besides an acceleration
+_MAX_REACH_SPREAD2 = 16.0  # largest spread in them, and of a speed out of reach
+_REST_MPS = 0.3  # largest speed of a camera that images show at rest
 
 
 class SpeedFilter:
@@ -32,6 +40,8 @@ class SpeedFilter:
     def __init__(self) -> None:
         self._state: ConstantVelocity | None = None
         self._middle_s = self._measured_s = -math.inf
+        # speed by the last measurement that was used, and its standard deviation; NaN = none
+        self._known_mps = self._known_sigma_mps = math.nan
         # consecutive outliers; measurements since the start that agree
         self._n_outliers = self._n_measured = 0
         self._systematic_mps = math.nan
@@ -57,8 +67,7 @@ class SpeedFilter:
                 np.array([middle_s - self._middle_s]), q=_JERK_NOISE**2
             )
         self._middle_s = middle_s
-        if math.isfinite(speed_mps):
-            self._measure(middle_s, speed_mps, sigma_mps)
+        if math.isfinite(speed_mps) and self._is_used(middle_s, speed_mps, sigma_mps):
             self._systematic_mps = systematic_mps
         if self._state is None or (
             self._n_measured < 2 and abs(self._state.x[0] * dt_s) > _LARGE_STEP_M
@@ -68,22 +77,56 @@ class SpeedFilter:
         self.noise_mps = math.sqrt(float(now.P_xx[0]))
         return float(now.x[0]), math.hypot(self.noise_mps, self._systematic_mps)
 
-    def _measure(self, middle_s: float, speed_mps: float, sigma_mps: float) -> None:
-        if self._state is not None:
-            innovation = np.array([speed_mps]) - self._state.x
-            excess = (innovation[0] ** 2 - self._state.P_xx[0]) / sigma_mps**2
-            own = (1 - _SPREAD_GAIN) * self._spread2
-            self._spread2 = max(1.0, own + _SPREAD_GAIN * min(float(excess), _MAX_SPREAD2))
-            sigma_mps *= math.sqrt(self._spread2)
-            limit_mps = _OUTLIER_SIGMA * np.sqrt(self._state.P_xx + sigma_mps**2)
-            is_outlier = bool(np.abs(innovation)[0] > limit_mps[0])
-            self._n_outliers = self._n_outliers + 1 if is_outlier else 0
-            if not is_outlier:
-                variance = np.array([sigma_mps**2])
-                self._state = self._state.update(innovation, variance, valid=np.ones(1, np.bool_))
-                self._measured_s, self._n_measured = middle_s, self._n_measured + 1
-            if self._n_outliers < _MAX_OUTLIERS:
-                return
+    @property
+    def is_known(self) -> bool:
+        """Whether the speed was known in the last frame."""
+        return self._state is not None
+
+    def reaches(self, middle_s: float, speed_mps: float, sigma_mps: float) -> bool:
+        """Whether a car can have a speed at a time after the last one; True without a last one,
+        False for NaN.
+        """
+        if math.isnan(self._known_mps):
+            return math.isfinite(speed_mps)
+        wide_mps = sigma_mps * math.sqrt(min(self._spread2, _MAX_REACH_SPREAD2))
+        error_mps = _REACH_SIGMA * math.hypot(wide_mps, self._known_sigma_mps)
+        change_mps = _MAX_ACCELERATION_MPS2 * (middle_s - self._measured_s)
+        return abs(speed_mps - self._known_mps) <= change_mps + error_mps
+
+    def is_rest(self, speed: tuple[float, float], *, shows_rest: bool) -> bool:
+        """Whether images of a camera at rest agree with a speed of `update`; False if unknown."""
+        return shows_rest and abs(speed[0]) <= _REST_MPS + 2 * speed[1]
+
+    def _is_used(self, middle_s: float, speed_mps: float, sigma_mps: float) -> bool:
+        """Add a measurement, unless it is an outlier."""
+        is_in_reach = self.reaches(middle_s, speed_mps, sigma_mps)
+        if self._state is None:
+            if is_in_reach:
+                self._start(middle_s, speed_mps, sigma_mps)
+            return is_in_reach
+        innovation = np.array([speed_mps]) - self._state.x
+        excess = float((innovation[0] ** 2 - self._state.P_xx[0]) / sigma_mps**2)
+        largest = _MAX_SPREAD2 if is_in_reach else _MAX_REACH_SPREAD2
+        own = (1 - _SPREAD_GAIN) * self._spread2
+        self._spread2 = max(1.0, own + _SPREAD_GAIN * min(excess, largest))
+        wide_mps = sigma_mps * math.sqrt(self._spread2)
+        limit_mps = _OUTLIER_SIGMA * np.sqrt(self._state.P_xx + wide_mps**2)
+        if is_in_reach and np.abs(innovation)[0] <= limit_mps[0]:
+            state = self._state.update(innovation, np.array([wide_mps**2]))
+            self._keep(state, middle_s, self._n_measured + 1)
+            return True
+        self._n_outliers += 1
+        is_start = is_in_reach and self._n_outliers >= _MAX_OUTLIERS
+        if is_start:
+            self._start(middle_s, speed_mps, wide_mps)
+        return is_start
+
+    def _start(self, middle_s: float, speed_mps: float, sigma_mps: float) -> None:
         values = (speed_mps, 0.0, sigma_mps**2, 0.0, _INITIAL_ACCELERATION_MPS2**2)
-        self._state = ConstantVelocity(*(np.array([value]) for value in values))
-        self._measured_s, self._n_outliers, self._n_measured = middle_s, 0, 1
+        self._keep(ConstantVelocity(*(np.array([value]) for value in values)), middle_s, 1)
+
+    def _keep(self, state: ConstantVelocity, middle_s: float, n_measured: int) -> None:
+        """Go on with a state that contains a measurement."""
+        self._state, self._measured_s = state, middle_s
+        self._known_mps, self._known_sigma_mps = float(state.x[0]), math.sqrt(float(state.P_xx[0]))
+        self._n_outliers, self._n_measured = 0, n_measured

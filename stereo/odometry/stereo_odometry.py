@@ -239,10 +239,11 @@ class StereoOdometry:
                     frame.time_s, dt_s, speed_mps, sigma_mps, systematic_mps
                 )
                 yaw_rad = -float(fit.rotation_rad[1])
+                shows_rest = abs(speed_mps) <= _MAX_STILL_MPS
                 return EgoMotion(
                     *filtered,
                     yaw_rad / dt_s,
-                    abs(speed_mps) <= _MAX_STILL_MPS,
+                    self._filter.is_rest(filtered, shows_rest=shows_rest),
                     noise_mps=self._filter.noise_mps,
                 )
         # without a measurement: the predicted speed, for a short time

@@ -73,20 +73,23 @@ class GivenSpeed:
         """
         step_s, self._last_s = time_s - self._last_s, time_s
         if math.isnan(given.speed_mps):
-            return given
+            return given if self.shown_ratio is None else self._by_images(measured)
         self._samples.add(time_s, given, measured)
         if time_s >= self._due_s or self.shown_ratio is None:
             self._due_s = time_s + _INTERVAL_S
             self._fit(scale, table)
         read = self._read(time_s, given, table)
         self._count_rest(step_s, given, measured)
+        return self._with_scale(self._weighed(time_s, read, self._by_images(measured)), scale)
+
+    def _by_images(self, measured: EgoMotion) -> EgoMotion:
+        """The measured speed in the scale of the given one."""
         log_ratio, ratio_variance = self._ratio
         factor = math.exp(log_ratio)
         sigma_mps = math.hypot(
             measured.speed_sigma_mps, math.sqrt(ratio_variance) * measured.speed_mps
         )
-        by_images = EgoMotion(factor * measured.speed_mps, factor * sigma_mps)
-        return self._with_scale(self._weighed(time_s, read, by_images), scale)
+        return EgoMotion(factor * measured.speed_mps, factor * sigma_mps)
 
     def _fit(self, scale: tuple[float, float], table: EgoSpeed | None) -> None:
         """Ratio and delay by all frames so far."""

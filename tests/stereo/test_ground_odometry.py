@@ -60,6 +60,29 @@ def test_camera_that_stops_is_at_rest():
     assert abs(at_rest[-1].speed_mps) < at_rest[-1].speed_sigma_mps < 0.2
 
 
+CLOUDS = np.asarray(street(Mounting(pitch_deg=5.0), 0.0)[150:], np.uint8)
+
+
+@pytest.mark.parametrize("has_road", [True, False])
+def test_clouds_behind_the_last_house_are_no_rest(has_road):
+    """From the 20th frame on, the corners are in clouds, and then also the road has none."""
+    mounting = Mounting(pitch_deg=5.0)
+    odometry = GroundOdometry(CAMERA, HEIGHT_M, travel_from_camera=mounting.travel_from_camera)
+    speeds_mps, horizon = [], 114
+    for k in range(45):
+        image = street(mounting, 0.8 * k)
+        if k >= 20:
+            image[:horizon] = CLOUDS[:horizon]
+            if not has_road:
+                image[horizon:] = 120
+        motion = odometry.update(Frame(k, k * DT_S, image, None), NO_BOXES)
+        assert not motion.is_still
+        speeds_mps.append(motion.speed_mps)
+    known = np.isfinite(speeds_mps)
+    assert np.abs(np.array(speeds_mps)[known][4:] - 8.0).max() < 0.6
+    assert known[20:].mean() > 0.9 if has_road else not known[25:].any()
+
+
 def test_pitch_of_a_camera_that_looks_aside_is_measured():
     """Lanes beside the car show that the camera looks down by 2 degrees, which was not given."""
     odometry, motions = driven(Mounting(yaw_deg=90.0, pitch_deg=2.0), Mounting(yaw_deg=90.0), n=16)

@@ -115,6 +115,72 @@ def test_filter_ignores_one_outlier_and_bridges_gaps():
     assert speeds.update(2.1, 0.1, 12.0, 0.05, 0.0)[0] == pytest.approx(12.0)
 
 
+def filtered(speeds_mps, dt_s, sigma_mps=0.2):
+    """(N, 2) speeds and standard deviations of a filter at the ends of frames with mean speeds."""
+    speeds = SpeedFilter()
+    return np.array(
+        [speeds.update(k * dt_s, dt_s, v, sigma_mps, 0.0) for k, v in enumerate(speeds_mps)]
+    )
+
+
+@pytest.mark.parametrize("wrong_mps", [0.0, 0.7, 40.0])
+def test_filter_uses_no_speed_that_a_car_does_not_reach(wrong_mps):
+    """At 15 m/s, something else shows another speed for a second: predicted, then unknown."""
+    speeds_mps, sigmas_mps = filtered([15.0] * 20 + [wrong_mps] * 30 + [15.0] * 10, 1 / 30).T
+    during = speeds_mps[20:50]
+    assert np.abs(during[np.isfinite(during)] - 15.0).max() < 0.5
+    assert np.isfinite(during[:10]).all()
+    assert np.isnan(during[-10:]).all()
+    assert (np.diff(sigmas_mps[20:30]) > 0).all()
+    assert np.abs(speeds_mps[50:] - 15.0).max() < 0.2  # known again at once
+
+
+@pytest.mark.parametrize("dt_s", [1 / 30, 0.1])
+def test_filter_follows_a_car_that_brakes_fully_to_rest_and_starts_again(dt_s):
+    times_s = np.arange(0.0, 8.0, dt_s)
+    true_mps = np.interp(times_s, [1.0, 3.0, 4.0, 6.0], [20.0, 0.0, 0.0, 6.0])
+    means_mps = np.interp(times_s - dt_s / 2, times_s, true_mps)
+    speeds_mps, sigmas_mps = filtered(means_mps, dt_s).T
+    error = np.abs(speeds_mps - true_mps)
+    assert np.isfinite(speeds_mps).all()
+    assert error.max() < 1.0
+    assert (error < 2 * sigmas_mps).mean() > 0.9
+    assert np.abs(speeds_mps[(times_s > 3.7) & (times_s < 4.0)]).max() < 0.1
+
+
+def test_filter_takes_another_speed_when_a_car_has_had_the_time_for_it():
+    """20 m/s, unknown for a time, then rest: possible after 2 s of full braking."""
+    speeds = SpeedFilter()
+    for k in range(10):
+        speeds.update(0.1 * k, 0.1, 20.0, 0.1, 0.0)
+    late = [speeds.update(1.0 + 0.1 * k, 0.1, 0.0, 0.1, 0.0)[0] for k in range(25)]
+    first = int(np.argmax(np.asarray(late) == 0.0))
+    assert 17 <= first <= 21
+    assert np.abs(late[first:]).max() < 0.01
+
+
+def in_camera(share_of_clouds, moved_m, seed=0):
+    """`ImageMotion` of a scene in which a share of the points is too far to move."""
+    rng = np.random.default_rng(seed)
+    pixels = np.stack([rng.uniform(0, 620, 200), rng.uniform(0, 188, 200)], axis=1)
+    rho = np.where(rng.uniform(size=200) < share_of_clouds, 1e-5, 1 / rng.uniform(5, 40, 200))
+    rays = CAMERA.rays(pixels)
+    now = rays + rho[:, None] * [0.0, 0.0, -moved_m]
+    now = now / now[:, 2:] + 0.03 / 360 * rng.normal(size=(200, 3)) * [1.0, 1.0, 0.0]
+    return ImageMotionEstimator(CAMERA)._motion(rays, now, 360.0, 0.1, 0.1)
+
+
+def test_clouds_that_stay_in_place_are_no_rest():
+    assert in_camera(0.7, 0.0).is_near_still
+    moving = in_camera(0.7, 1.0)
+    assert not moving.is_still
+    assert np.isnan(moving.travel).all()  # the direction of few points is unsure
+    assert np.isfinite(in_camera(0.2, 1.0).travel).all()
+    distant = in_camera(1.0, 1.0)
+    assert distant.is_still
+    assert in_camera(1.0, 0.0).is_still
+
+
 @pytest.mark.parametrize("yaw_deg", [-30.0, -58.0, 90.0, 120.0, 180.0])
 @pytest.mark.parametrize("turn_rad", [-0.02, 0.0, 0.02])
 def test_yaw_and_direction_of_a_camera_that_looks_aside(yaw_deg, turn_rad):

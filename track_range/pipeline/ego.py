@@ -19,7 +19,8 @@ from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.stereo.speed.ego_speed import EgoSpeed
 from track_range.stereo.speed.given_speed import GivenSpeed
 
-# longest time without a measurement for which a measured speed is predicted
+# Longest time without a measurement for which a measured speed is predicted: filters of distances
+# and warnings go on with it, and its error grows by what cars usually accelerate and brake.
 _MAX_PREDICTED_S = 1.0
 # of the speed of the road with a height that is not given, for notes
 _BY_SIZES = "with an estimated height of the camera"
@@ -44,8 +45,9 @@ class EgoStage:
     # of the camera in the vehicle whose speed is given; None = it is that along the axis
     mounting: Mounting | None = None
     given_speed: GivenSpeed = field(default_factory=GivenSpeed)  # against that of the images
-    # motion in the last frame that was measured, and its time
+    # time and motion of the last frame that showed anything, and of the last one with a speed
     _last: tuple[float, EgoMotion] = (math.nan, EgoMotion())
+    _known: tuple[float, EgoMotion] = (math.nan, EgoMotion())
 
     @property
     def speed_source(self) -> str | None:
@@ -108,7 +110,7 @@ class EgoStage:
             used = self._weighed(frame.time_s, given, *shown, scale, known)
             used = scale.focal.stretched(self._of_camera(used, motion.yaw_rad_s))
         ego = Ego(
-            motion=_with_given(motion, used, trusts_given=trusts_given),
+            motion=self._continued(frame.time_s, motion, used, trusts_given=trusts_given),
             by_pair=by_pair,
             by_road=by_road,
             given=given,
@@ -129,7 +131,8 @@ class EgoStage:
             view = replace(view.scaled(height_m[0] / road.height_m), height_m=height_m)
         # static objects that are triangulated with a scale by sizes would repeat the sizes
         is_given = used is not None and trusts_given
-        step = road.step(EgoMotion() if is_by_sizes and not is_given else ego.motion)
+        is_measured = is_given or not (is_by_sizes or ego.motion.is_predicted)
+        step = road.step(ego.motion if is_measured else EgoMotion())
         return replace(ego, road=view, step=step)
 
     def _weighed(
@@ -165,17 +168,38 @@ class EgoStage:
         growing error, for a short time; `focal` stretches what is given.
         """
         last_s, last = self._last
-        motion = EgoMotion(is_still=last.is_still)
-        if time_s - last_s <= _MAX_PREDICTED_S:
-            grown_mps = PREDICTED_NOISE * math.sqrt(time_s - last_s)
-            sigma_mps = math.hypot(last.speed_sigma_mps, grown_mps)
-            motion = replace(last, speed_sigma_mps=sigma_mps, is_predicted=True)
+        yaw_rad_s = last.yaw_rad_s if time_s - last_s <= _MAX_PREDICTED_S else math.nan
+        motion = EgoMotion(yaw_rad_s=yaw_rad_s, is_still=last.is_still)
         given = self._given(time_s, known)
         used = None
         if given is not None:
             used = focal.stretched(self._of_camera(given, last.yaw_rad_s))
-        motion = _with_given(motion, used, trusts_given=trusts_given)
+        motion = self._continued(time_s, motion, used, trusts_given=trusts_given)
         return Ego(motion=motion, given=given, trusts_given=trusts_given)
+
+    def _continued(
+        self, time_s: float, motion: EgoMotion, given: EgoMotion | None, *, trusts_given: bool
+    ) -> EgoMotion:
+        """The motion, with a given speed if it is known in this frame, and trusted; without any
+        speed, with the last known one for a short time.
+        """
+        if given is not None and trusts_given and math.isfinite(given.speed_mps):
+            motion = replace(given, yaw_rad_s=motion.yaw_rad_s, is_still=motion.is_still)
+        if math.isfinite(motion.speed_mps):
+            self._known = time_s, motion
+            return motion
+        known_s, known = self._known
+        is_doubted = math.isfinite(known.stretch) and not trusts_given
+        if is_doubted or not time_s - known_s <= _MAX_PREDICTED_S:  # also without a known speed
+            return motion
+        grown_mps = PREDICTED_NOISE * math.sqrt(time_s - known_s)
+        return replace(
+            known,
+            speed_sigma_mps=math.hypot(known.speed_sigma_mps, grown_mps),
+            yaw_rad_s=motion.yaw_rad_s,
+            is_still=motion.is_still,
+            is_predicted=True,
+        )
 
     def _of_camera(self, vehicle: EgoMotion, yaw_rad_s: float) -> EgoMotion:
         """The motion of the camera, of that of its vehicle along x, which turns with a yaw rate."""
@@ -227,10 +251,3 @@ def _of_real_road(by_road: EgoMotion) -> EgoMotion:
     """A speed by the motion of the road with the error of roads that are not plane."""
     sigma_mps = math.hypot(by_road.speed_sigma_mps, _SLOPES * by_road.speed_mps)
     return replace(by_road, speed_sigma_mps=sigma_mps)
-
-
-def _with_given(motion: EgoMotion, given: EgoMotion | None, *, trusts_given: bool) -> EgoMotion:
-    """The measured motion, with a given speed if there is one and it is trusted."""
-    if given is None or not trusts_given:
-        return motion
-    return replace(given, yaw_rad_s=motion.yaw_rad_s, is_still=motion.is_still)

@@ -393,6 +393,32 @@ def test_speed_of_a_repeated_image_is_predicted_for_a_second():
     assert math.isnan(late.yaw_rad_s)
 
 
+def test_speed_that_is_not_measured_is_predicted_for_a_second():
+    stage = EgoStage(pair_odometry=_LosingOdometry())
+    known, soon, late = (stage.update(frame(t), NO_BOXES).motion for t in (1.0, 1.25, 2.1))
+    assert not known.is_predicted
+    assert (soon.speed_mps, soon.yaw_rad_s, soon.is_predicted) == (9.0, 0.2, True)
+    assert soon.speed_sigma_mps == pytest.approx(math.hypot(0.1, 1.25))
+    assert math.isnan(late.speed_mps)
+    assert late.yaw_rad_s == 0.2
+    # a repeated image counts from the last measurement, too
+    stage.update(frame(1.0), NO_BOXES)
+    stage.update(frame(1.2), NO_BOXES)
+    again = stage.predicted(1.25).motion
+    assert again.speed_sigma_mps == pytest.approx(math.hypot(0.1, 1.25))
+
+
+def test_given_speed_with_a_gap_is_predicted_and_a_measured_one_replaces_it():
+    given = EgoSpeed(np.array([0.0, 1.0, 9.0]), np.array([12.0, 12.0, 12.0]), "a file")
+    alone = EgoStage(speed=given)
+    soon, late = (alone.update(frame(t), NO_BOXES).motion for t in (1.0, 1.2))
+    assert (late.speed_mps, late.is_predicted) == (soon.speed_mps, True)
+    assert math.isnan(alone.update(frame(2.5), NO_BOXES).motion.speed_mps)
+    pair = EgoStage(speed=given, pair_odometry=_SteadyOdometry())
+    motion = pair.update(frame(5.0), NO_BOXES).motion
+    assert (motion.speed_mps, motion.is_predicted) == (9.0, False)
+
+
 def test_pair_whose_speed_is_not_used_still_follows_the_right_camera():
     odometry = _SteadyOdometry()
     odometry.right_camera = RightCamera(CAMERA)
@@ -445,6 +471,14 @@ class _SteadyOdometry:
 
     def update(self, frame: Frame, xyxy_px: np.ndarray) -> EgoMotion:
         return EgoMotion(9.0, 0.1, 0.1)
+
+
+class _LosingOdometry(_SteadyOdometry):
+    """A pair that shows no speed from 1 s on, and a yaw rate."""
+
+    def update(self, frame, xyxy_px):
+        known = super().update(frame, xyxy_px)
+        return known if frame.time_s <= 1.0 else EgoMotion(yaw_rad_s=0.2)
 
 
 def test_given_speed_of_the_vehicle_is_turned_to_the_axes_of_the_camera():
