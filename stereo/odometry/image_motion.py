@@ -60,7 +60,7 @@ _MIN_STATIC_FRACTION = 0.4  # minimum fraction of static points among the tracke
 # of a camera at rest: largest median motion of the static points, and the largest one of nearly all
 # of them. Clouds and hills stay in place in a drive, and may be most of the corners; near points
 # move by more.
-_MAX_STILL_PX, _MAX_NEAR_PX, _STILL_SHARE = 0.1, 0.5, 0.9
+_MAX_STILL_PX, _MAX_NEAR_PX, _STILL_FRACTION = 0.1, 0.5, 0.9
 # tangent below the horizon from which the ground is near, 25 m for a camera at 1.5 m, and the least
 # number of its points
 _NEAR_SLOPE, _MIN_NEAR = 0.06, 5
@@ -185,7 +185,7 @@ class ImageMotionEstimator:
         turned = _turned(before, np.asarray(cv2.Rodrigues(fit.rotation)[0], np.float64))
         motion_px = focal_px * np.linalg.norm((now - turned)[fit.is_static], axis=1)
         is_in_place = bool(median_of(motion_px) <= _MAX_STILL_PX)
-        is_still = is_in_place and bool((motion_px <= _MAX_NEAR_PX).mean() >= _STILL_SHARE)
+        is_still = is_in_place and bool((motion_px <= _MAX_NEAR_PX).mean() >= _STILL_FRACTION)
         x, y, backward = (self._travel_from_camera @ fit.direction).tolist()
         travel = math.nan, math.nan
         if not is_in_place:  # few points that move show no direction: they may be a vehicle

@@ -22,8 +22,10 @@ _USUAL_M, _USUAL_SIGMA = 30.0, 0.5
 # KITTI's gray51 0.25 and 0.08, on simulated drives, seeds 700-703, 0.08 and 0.06
 _DRIFT, _NOISE = 0.15, 0.1
 _MAX_SIGMA = 0.45  # of the logarithm of a depth that shows a speed
+_MAX_NOISE = 0.25  # relative one of an expansion that shows a speed: far clouds hardly expand
 _OUTLIER_SIGMA = 3.0  # beyond which a speed does not fit the depth
 _UNKNOWN_SIGMA = 3.0  # of the logarithm of a depth that changed at once: clouds, a wall
+_RECEDING_SIGMA = 2.0  # of an expansion that is certainly negative
 _MIN_SPEEDS = 5  # number of speeds that a depth needs: a single one may be wrong
 
 
@@ -67,14 +69,15 @@ class SceneDepth:
         speed_mps = motion.expansion_hz * math.exp(self._log_depth)
         # False for NaN
         is_known = self._n_speeds >= _MIN_SPEEDS and sigma < _MAX_SIGMA
-        if not (is_known and speed_mps > 0):
+        if not (is_known and speed_mps > 0 and _noise(motion) < _MAX_NOISE):
             return math.nan, math.nan, math.nan
         return speed_mps, _noise(motion) * speed_mps, sigma * speed_mps
 
     def fits(self, motion: ImageMotion, speed_mps: float) -> bool:
         """Whether a speed by the road fits the expansion of the images; such a speed is learnt."""
         if not (motion.expansion_hz > 0 and speed_mps > 0):
-            return True
+            # a camera that moves backwards; False for NaN
+            return not motion.expansion_hz < -_RECEDING_SIGMA * motion.expansion_sigma_hz
         innovation = math.log(speed_mps / motion.expansion_hz) - self._log_depth
         noise = _noise(motion) ** 2
         total = self._variance + noise

@@ -28,9 +28,10 @@ _LARGE_STEP_M = 4.0
 _SPREAD_GAIN, _MAX_SPREAD2 = 0.15, 400.0
 # number of consecutive outliers within reach after which the filter starts again
 _MAX_OUTLIERS = 3
-_MAX_ACCELERATION_MPS2 = 10.0  # of a car that brakes fully on a dry road
+# of a car that brakes fully on a dry road, and of a fast one that pulls away
+_MAX_BRAKING_MPS2, _MAX_ACCELERATION_MPS2 = 10.0, 6.0
 _REACH_SIGMA = 3.0  # errors of two speeds that may lie between them besides an acceleration
-_MAX_REACH_SPREAD2 = 16.0  # largest spread in them, and of a speed out of reach
+_MAX_REACH_SPREAD2 = 4.0  # largest spread in them, and of a speed out of reach
 _REST_MPS = 0.3  # largest speed of a camera that images show at rest
 
 
@@ -90,7 +91,9 @@ class SpeedFilter:
             return math.isfinite(speed_mps)
         wide_mps = sigma_mps * math.sqrt(min(self._spread2, _MAX_REACH_SPREAD2))
         error_mps = _REACH_SIGMA * math.hypot(wide_mps, self._known_sigma_mps)
-        change_mps = _MAX_ACCELERATION_MPS2 * (middle_s - self._measured_s)
+        is_slower = abs(speed_mps) < abs(self._known_mps)
+        limit_mps2 = _MAX_BRAKING_MPS2 if is_slower else _MAX_ACCELERATION_MPS2
+        change_mps = limit_mps2 * (middle_s - self._measured_s)
         return abs(speed_mps - self._known_mps) <= change_mps + error_mps
 
     def is_rest(self, speed: tuple[float, float], *, shows_rest: bool) -> bool:
@@ -113,7 +116,7 @@ class SpeedFilter:
         limit_mps = _OUTLIER_SIGMA * np.sqrt(self._state.P_xx + wide_mps**2)
         if is_in_reach and np.abs(innovation)[0] <= limit_mps[0]:
             state = self._state.update(innovation, np.array([wide_mps**2]))
-            self._keep(state, middle_s, self._n_measured + 1)
+            self._go_on(state, middle_s, self._n_measured + 1)
             return True
         self._n_outliers += 1
         is_start = is_in_reach and self._n_outliers >= _MAX_OUTLIERS
@@ -123,9 +126,9 @@ class SpeedFilter:
 
     def _start(self, middle_s: float, speed_mps: float, sigma_mps: float) -> None:
         values = (speed_mps, 0.0, sigma_mps**2, 0.0, _INITIAL_ACCELERATION_MPS2**2)
-        self._keep(ConstantVelocity(*(np.array([value]) for value in values)), middle_s, 1)
+        self._go_on(ConstantVelocity(*(np.array([value]) for value in values)), middle_s, 1)
 
-    def _keep(self, state: ConstantVelocity, middle_s: float, n_measured: int) -> None:
+    def _go_on(self, state: ConstantVelocity, middle_s: float, n_measured: int) -> None:
         """Go on with a state that contains a measurement."""
         self._state, self._measured_s = state, middle_s
         self._known_mps, self._known_sigma_mps = float(state.x[0]), math.sqrt(float(state.P_xx[0]))

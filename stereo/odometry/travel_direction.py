@@ -3,7 +3,8 @@
 A vehicle on a straight road drives along its axis, in which the camera looks, too. If the images
 expand from a column beside the principal point, the camera is turned, or the principal point is
 wrong; straight roads cannot tell which. With a mounting, the same holds for the direction of travel
-that it states.
+that it states. A direction that changes is not that of a mounting: the car swerves, or the recording
+is cut to another camera.
 """
 
 import math
@@ -23,6 +24,7 @@ class TravelDirection:
         self._focal_px, self._has_mounting = camera.fx_px, has_mounting
         self._straight_s = 0.0
         self.side_rad = math.nan  # positive = to the right; NaN = unknown
+        self._variance = 0.0  # of the direction over time
 
     def add(self, dt_s: float, side_rad: float, yaw_rad_s: float) -> None:
         """Use the direction of travel in a frame that comes `dt_s` after the last one; NaN =
@@ -32,13 +34,16 @@ class TravelDirection:
             return
         self._straight_s += dt_s
         before_rad = 0.0 if math.isnan(self.side_rad) else self.side_rad
-        self.side_rad = before_rad + dt_s / self._straight_s * (side_rad - before_rad)
+        share, change_rad = dt_s / self._straight_s, side_rad - before_rad
+        self.side_rad = before_rad + share * change_rad
+        self._variance = (1 - share) * (self._variance + share * change_rad**2)
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user so far."""
         # False for NaN
-        if self._straight_s < _MIN_S or not abs(self.side_rad) >= _MIN_SIDE_RAD:
+        is_aside = abs(self.side_rad) >= _MIN_SIDE_RAD and self._variance <= self.side_rad**2
+        if self._straight_s < _MIN_S or not is_aside:
             return ()
         side, other = ("right", "left") if self.side_rad > 0 else ("left", "right")
         side_deg, offset_px = math.degrees(abs(self.side_rad)), self._focal_px * abs(self.side_rad)

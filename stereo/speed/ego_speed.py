@@ -18,6 +18,9 @@ MAX_SPEED_MPS = 120.0
 MAX_GAP_S = 3.0  # longest interval between two samples that is interpolated
 # s before the first and after the last sample for which it holds: videos start on another frame
 _EDGE_S = 0.25
+# A car brakes by up to 10 m/s^2; a speed that falls to rest faster, beyond the noise of both
+# samples, or leaves rest so, is that of a receiver that lost its satellites.
+_MAX_ACCELERATION_MPS2, _MAX_NOISE_MPS, _REST_MPS = 10.0, 1.0, 1.0
 # standard deviation of the speeds of tables, which state none: that of GPS receivers
 TABLE_SIGMA_MPS = 0.2
 
@@ -43,6 +46,25 @@ class EgoSpeed:
         if self.over_ground_mps is None:
             return self
         return replace(self, speed_mps=self.over_ground_mps)
+
+    def without_lost_fixes(self) -> tuple[EgoSpeed, FloatArray]:
+        """The speeds without those at rest before or after a jump that no car makes, and the times
+        (K,) of those; speeds between two samples far apart are unknown.
+        """
+        step_mps = np.abs(np.diff(self.speed_mps))
+        possible_mps = _MAX_ACCELERATION_MPS2 * np.diff(self.time_s) + _MAX_NOISE_MPS
+        part = np.concatenate([[0], np.cumsum(step_mps > possible_mps)])  # between two jumps
+        fastest_mps = np.zeros(part[-1] + 1)
+        np.maximum.at(fastest_mps, part, np.abs(self.speed_mps))
+        is_lost = (fastest_mps < _REST_MPS)[part] & (part[-1] > 0)
+        if not is_lost.any():
+            return self, np.zeros(0)
+        kept = {
+            name: None if column is None else column[~is_lost]
+            for name in ("time_s", "speed_mps", "positions_deg", "over_ground_mps")
+            for column in (getattr(self, name),)
+        }
+        return replace(self, **kept), self.time_s[is_lost]
 
     def at(self, time_s: float) -> float:
         """Speed at `time_s` in m/s, NaN = unknown."""

@@ -53,7 +53,10 @@ MOST_STATEMENTS = {
     # values of a mounting that are no numbers (3)
     # the probability that a box shows nothing of its object, and occluders measured first (39)
     # a speed that no car reaches, a scene whose depth changes at once, and rest by near points (50)
-    "stereo": 9_553,
+    # a speed that no car reaches, a scene whose depth changes at once, and rest by near points (52)
+    # a given speed that falls to zero where a receiver has no satellites (13), and a direction of
+    # travel that changes (4), and a scene that recedes (1)
+    "stereo": 9_573,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
@@ -135,7 +138,8 @@ MOST_STATEMENTS = {
     # the direction of a view in the vehicle, the speed over ground of a table, and
     # speeds of cameras that look back (23)
     # the mounting in the summary (5)
-    "recording": 7_358,
+    # a given speed without satellites is named (3)
+    "recording": 7_361,
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)
     # the shape of an estimate of a camera (20)

@@ -165,3 +165,39 @@ def test_probability_of_a_mistake_by_hand():
     assert p_mistake(0.0, 1.0, 3.0) == pytest.approx(odds / (1 + odds))
     assert p_mistake(10.0, 1.0, 3.0) > 0.999
     assert p_mistake(0.0, 0.0, 3.0) < 1e-6
+
+
+def test_rest_that_no_car_reaches_is_not_given():
+    """20 m/s, and zero for ten seconds in a tunnel; a stop by 5 m/s^2 stays."""
+    time_s = np.arange(0.0, 40.0)
+    stop_mps = np.interp(time_s, [0, 30, 34, 40], [20, 20, 0, 0])
+    tunnel = (time_s >= 15) & (time_s < 25)
+    table = EgoSpeed(
+        time_s,
+        np.where(tunnel, 0.0, stop_mps),
+        "a file",
+        positions_deg=np.stack([time_s, time_s], axis=1),
+    )
+    kept, lost_s = table.without_lost_fixes()
+    assert lost_s.tolist() == time_s[tunnel].tolist()
+    assert math.isnan(kept.at(20.0))
+    assert (kept.at(14.0), kept.at(26.0), kept.at(39.0)) == (20.0, 20.0, 0.0)
+    assert kept.positions_deg is not None
+    assert kept.positions_deg[:, 0].tolist() == kept.time_s.tolist()
+    parked = EgoSpeed(time_s, np.zeros(40), "a file")
+    assert parked.without_lost_fixes() == (parked, pytest.approx([]))
+    spike = EgoSpeed(time_s, np.where(time_s == 5, 40.0, 20.0), "a file")  # which one is wrong?
+    assert spike.without_lost_fixes()[0] is spike
+
+
+def test_gap_of_the_given_speed_is_filled_by_the_images_in_its_scale():
+    """The images show 10 % less: the ratio is known before the gap."""
+    both, rng = GivenSpeed(), np.random.default_rng(3)
+    for k in range(100):
+        shown = by_images(0.1 * k, rng)
+        given = EgoMotion(1.1 * driven(0.1 * k), 0.2)
+        both.update(0.1 * k, given, shown, (0.0, 0.3))
+    motion = both.update(10.0, EgoMotion(), EgoMotion(10.0, 0.1), (0.0, 0.3))
+    assert motion.speed_mps == pytest.approx(11.0, rel=0.02)
+    assert 0.1 < motion.speed_sigma_mps < 0.6
+    assert math.isnan(GivenSpeed().update(0.0, EgoMotion(), EgoMotion(10.0), (0.0, 0.3)).speed_mps)

@@ -61,9 +61,11 @@ def test_rest_and_unknown_motion_show_no_speed():
     depth = SceneDepth()
     for _ in range(5):
         depth.fits(motion(0.6), 12.0)
-    for nothing in (motion(0.0), motion(math.nan), motion(-0.1)):
+    for nothing in (motion(0.0), motion(math.nan), motion(-0.1, 0.1)):
         assert np.isnan(depth.speed(nothing)).all()
         assert depth.fits(nothing, 3.0)
+    # a camera that looks back or drives back has no speed forwards
+    assert not depth.fits(motion(-0.1, 0.02), 3.0)
     assert depth.speed(motion(0.6))[0] == pytest.approx(12.0, rel=0.03)
 
 

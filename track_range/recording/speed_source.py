@@ -96,6 +96,14 @@ def open_speed(setting: str, recording: Recording, mounting: Mounting | None = N
     ego = source.ego if mounting is None else source.ego.of_vehicle()
     is_backwards = (ego.speed_mps < 0).mean() > _MOSTLY
     notes = (*source.notes, _BACKWARDS) if is_backwards else source.notes
+    ego, lost_s = ego.without_lost_fixes()
+    if len(lost_s):
+        notes = (
+            *notes,
+            f"The given speed is zero at {lost_s[0]:.1f} s, before or after a jump that no car "
+            f"makes, as where a receiver has no satellites: it is not used there ({len(lost_s)} "
+            "samples).",
+        )
     return replace(source, ego=ego, notes=notes)
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import track_range as tr
+from benchmarks.accuracy.ranging.odometry import speed_faults
 from benchmarks.harness import Figures, median_or_none, option, workload
 from benchmarks.inputs.camera_drives import FPS, CameraDrive
 from benchmarks.inputs.drives import CACHE_OPTION, REAL_DATA, StoredDetector, decoded
@@ -134,6 +135,7 @@ def _figures(true_mps: FloatArray, motions: Sequence[EgoMotion]) -> Figures:
     return {
         "n": len(true_mps),
         "known": float(is_known.mean()),
+        **speed_faults(true_mps, speed_mps, sigma_mps),
         "median_pct": median_or_none(np.abs(relative), 100),
         "bias_pct": median_or_none(relative, 100),
         "slow_median_mps": median_or_none(np.abs(error_mps)[is_known & is_slow]),

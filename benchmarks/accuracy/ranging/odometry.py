@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from argparse import Namespace
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise, product
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from benchmarks.harness import (
     workload,
 )
 from benchmarks.inputs.drives import FPS, REAL_DATA, SimulatedDrive, decoded
+from benchmarks.inputs.edited_images import EDITS, edited
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.processes import one_opencv_thread
 from track_range.foundation.sparse_flow import BackgroundFlow
@@ -40,6 +41,8 @@ from track_range.stereo.rig_formats.reading import load_rig
 from track_range.tracking.camera_motion import CameraMotion
 
 MIN_SPEED_MPS = 3.0  # smallest true speed of a relative error
+# true speeds of a camera that moves and of one at rest, and the reported one that says the other
+MOVING_MPS, REST_MPS, WRONG_MPS = 2.0, 0.05, 0.5
 _OXTS_YAW_RATE = 22  # column of the angular rate about the upward axis in oxts
 _N_INTERPOLATED = 13  # frames of KITTI odometry without a measured yaw rate
 KITTI_HEIGHT_M = 1.65  # of the cameras above the road (Geiger et al., 2013)
@@ -87,6 +90,7 @@ class _ImageOdometry:
     ),
     option("--seeds", default=(100, 101), help="seeds of the simulated drives"),
     option("--seconds", default=4.0, help="length of the simulated drives"),
+    option("--edits", default=("none",), choices=EDITS, help="changes of the images"),
     option("--align", type=Path, help="alignment file of KITTI 0003, from `track-range align`"),
     option("--data", default=REAL_DATA, help="folder with kitti_stereo and kitti_odometry"),
 )
@@ -94,9 +98,17 @@ def odometry(options: Namespace) -> Figures:
     figures: Figures = {}
     with one_opencv_thread():
         for scenario, seed in product(options.scenarios, options.seeds):
-            figures |= _figures(_simulated(scenario, seed, options.seconds))
+            figures |= _edited_figures(_simulated(scenario, seed, options.seconds), options.edits)
         for drive in _real(options.data, options.align):
-            figures |= _figures(drive)
+            figures |= _edited_figures(drive, options.edits)
+    return figures
+
+
+def _edited_figures(drive: OdometryDrive, edits: Sequence[str]) -> Figures:
+    figures: Figures = {}
+    for edit in edits:
+        name = drive.name if edit == "none" else f"{drive.name} {edit}"
+        figures |= _figures(replace(drive, name=name, frames=edited(drive.frames, edit)))
     return figures
 
 
@@ -204,8 +216,31 @@ def _method_figures(drive: OdometryDrive, create: Callable[[BackgroundFlow], Odo
         "p95_pct": quantile_or_none(np.abs(error), 0.95, 100),
         "bias_pct": median_or_none(error, 100),
         "coverage": float(use.sum() / max(is_driving.sum(), 1)),
+        "within_1_sigma": float((np.abs(in_sigmas) <= 1).mean()) if use.any() else None,
+        "within_2_sigma": float((np.abs(in_sigmas) <= 2).mean()) if use.any() else None,
         "rms_sigmas": float(np.sqrt((in_sigmas**2).mean())) if use.any() else None,
+        **speed_faults(true_mps, speed_mps, sigma_mps),
         "yaw_median_mrad_s": median_or_none(yaw_error, 1e3),
         "yaw_p95_mrad_s": quantile_or_none(yaw_error, 0.95, 1e3),
         "ms": median_ms(times_s),
+    }
+
+
+def speed_faults(
+    true_mps: FloatArray, speed_mps: FloatArray, sigma_mps: FloatArray
+) -> dict[str, float | None]:
+    """Frames (F,) of a camera that moves with a speed of zero, those of one at rest with a speed,
+    and the fractions of both in which the speed is unknown.
+
+    Zero is a speed below `WRONG_MPS`, a speed is one above it and above two sigma.
+    """
+    is_moving, is_at_rest = true_mps > MOVING_MPS, true_mps < REST_MPS
+    is_unknown = np.isnan(speed_mps)
+    is_zero = speed_mps < WRONG_MPS
+    is_motion = (speed_mps > WRONG_MPS) & (speed_mps > 2 * sigma_mps)
+    return {
+        "n_zero_while_moving": int((is_moving & is_zero).sum()),
+        "n_moving_at_rest": int((is_at_rest & is_motion).sum()),
+        "unknown_moving": float(is_unknown[is_moving].mean()) if is_moving.any() else None,
+        "unknown_at_rest": float(is_unknown[is_at_rest].mean()) if is_at_rest.any() else None,
     }
