@@ -30,6 +30,7 @@ _SPREAD_GAIN, _MAX_SPREAD2 = 0.15, 400.0
 _MAX_OUTLIERS = 3
 # of a car that brakes fully on a dry road, and of a fast one that pulls away
 _MAX_BRAKING_MPS2, _MAX_ACCELERATION_MPS2 = 10.0, 6.0
+_USUAL_MPS2 = 3.0  # of a car whose speed is unknown: full braking is rare
 _REACH_SIGMA = 3.0  # errors of two speeds that may lie between them besides an acceleration
 _MAX_REACH_SPREAD2 = 4.0  # largest spread in them, and of a speed out of reach
 _REST_MPS = 0.3  # largest speed of a camera that images show at rest
@@ -93,8 +94,10 @@ class SpeedFilter:
         error_mps = _REACH_SIGMA * math.hypot(wide_mps, self._known_sigma_mps)
         is_slower = abs(speed_mps) < abs(self._known_mps)
         limit_mps2 = _MAX_BRAKING_MPS2 if is_slower else _MAX_ACCELERATION_MPS2
-        change_mps = limit_mps2 * (middle_s - self._measured_s)
-        return abs(speed_mps - self._known_mps) <= change_mps + error_mps
+        span_s = middle_s - self._measured_s
+        if span_s > _MAX_GAP_S:  # the images were wrong before, and may still be
+            limit_mps2 = _USUAL_MPS2
+        return abs(speed_mps - self._known_mps) <= limit_mps2 * span_s + error_mps
 
     def is_rest(self, speed: tuple[float, float], *, shows_rest: bool) -> bool:
         """Whether images of a camera at rest agree with a speed of `update`; False if unknown."""

@@ -149,13 +149,13 @@ def test_filter_follows_a_car_that_brakes_fully_to_rest_and_starts_again(dt_s):
 
 
 def test_filter_takes_another_speed_when_a_car_has_had_the_time_for_it():
-    """20 m/s, unknown for a time, then rest: possible after 2 s of full braking."""
+    """15 m/s, unknown for a time, then rest: after 5 s of usual braking."""
     speeds = SpeedFilter()
     for k in range(10):
-        speeds.update(0.1 * k, 0.1, 20.0, 0.1, 0.0)
-    late = [speeds.update(1.0 + 0.1 * k, 0.1, 0.0, 0.1, 0.0)[0] for k in range(25)]
+        speeds.update(0.1 * k, 0.1, 15.0, 0.1, 0.0)
+    late = [speeds.update(1.0 + 0.1 * k, 0.1, 0.0, 0.1, 0.0)[0] for k in range(60)]
     first = int(np.argmax(np.asarray(late) == 0.0))
-    assert 17 <= first <= 21
+    assert 44 <= first <= 51
     assert np.abs(late[first:]).max() < 0.01
 
 
