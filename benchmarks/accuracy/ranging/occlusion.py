@@ -207,13 +207,14 @@ WILD_FRACTION, WILD_LOG_SIGMA = 0.2, 0.2
 
 @dataclass(frozen=True, slots=True)
 class _Examples:
-    """S surfaces of N objects: features (S, N, F), relative errors (S, N), and the seed of each
-    object (N,).
+    """S surfaces of N objects: features (S, N, F), relative errors (S, N), the seed of each object
+    (N,), and whether it counts for the choice between the surfaces.
     """
 
     features: FloatArray
     error: FloatArray
     seed: IntArray
+    is_scored: BoolArray
 
     @property
     def is_right(self) -> BoolArray:
