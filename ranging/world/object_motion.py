@@ -87,7 +87,7 @@ class OverGround:
     @property
     def moving(self) -> FloatArray:
         """(N,) probability that the object moves, 0..1."""
-        return 1.0 - self.states[_PARKED]
+        return np.asarray(1.0 - self.states[_PARKED])
 
 
 @dataclass(frozen=True, slots=True)

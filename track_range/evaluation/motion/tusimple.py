@@ -57,7 +57,15 @@ def tusimple_motion(folder: Path) -> tuple[LabelledMotion, MeasuredMotion, dict[
     duration_s = np.array([_STEP_S * sum(len(_images(clip)) for clip in clips)])
     protocol = "velocities of the labels in the last image of each clip"
     truth = LabelledMotion(
-        vehicle_boxes(labels, clip), -velocity_mps[:, 0], *[nan] * 5, duration_s, protocol
+        boxes=vehicle_boxes(labels, clip),
+        closing_mps=-velocity_mps[:, 0],
+        speed_mps=nan,
+        heading_rad=nan,
+        ego_mps=nan,
+        right_mps=nan,
+        yaw_rad_s=nan,
+        duration_s=duration_s,
+        protocol=protocol,
     )
     distance_m, closing_mps, sigma_mps, ttc_s, lateral_mps = measured.T
     answers = MeasuredMotion(
