@@ -57,11 +57,11 @@ def _figures(true: FloatArray, measured: MeasuredMotion, rows: BoolArray) -> dic
     by_state: dict[str, Any] = {}
     for code, name in enumerate(MOTION_STATES):
         of_state = rows & (true == code)
-        found = measured.state[of_state & stated]
+        stated_codes = measured.state[of_state & stated]
         by_state[name] = {
             "n": int(of_state.sum()),
             "coverage": fraction(stated[of_state]),
-            **{other: fraction(found == index) for index, other in enumerate(MOTION_STATES)},
+            **{other: fraction(stated_codes == index) for index, other in enumerate(MOTION_STATES)},
         }
     reliability: dict[str, Any] = {}
     p = measured.state_probability
