@@ -227,7 +227,7 @@ class PatchMatcher:
         # Boxes that nearer ones cover come last: their occluders then have disparities.
         is_behind = are_behind(boxes)
         for part, centre_px, reach_px, is_part in (
-            (known, track_px, search_px, np.True_),
+            (known, track_px, search_px, np.ones(n, np.bool_)),
             (no_track, size_px, self._settings.size_search_px, ~is_behind),
             (no_track, size_px, self._settings.size_search_px, is_behind),
         ):

@@ -63,9 +63,7 @@ def ground_weight(options: Namespace) -> Figures:
 
 def _measured(one: RoadSet, poses: Path, known: str, seed: int) -> Figures:
     boxes, train = one.boxes, one.boxes if one.train is None else one.train
-    of_mono = MethodOptions(
-        is_cross_validated=True, box_sigma_px=one.box_sigma_px, region=one.region
-    )
+    of_mono = MethodOptions(is_cross_validated=True, box_sigma_px=one.box_sigma_px, region="europe")
     mono = measured_by(["mono"], boxes, train, of_mono)["mono"]
     ground = _ground(one, mono, poses, known=known, seed=seed)
     columns = {"mono": mono, "ground": ground}
