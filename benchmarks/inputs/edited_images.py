@@ -43,7 +43,7 @@ def edited(frames: Sequence[Frame], edit: str) -> list[Frame]:
 def _edited(frame: Frame, edit: str, texture: Image) -> Frame:
     left = _image(frame.left, edit, texture, 0)
     right = None
-    if frame.right is not None:
+    if isinstance(frame.right, np.ndarray):
         right = _image(frame.right, edit, texture, _REAR_DISPARITY_PX)
     return Frame(frame.index, frame.time_s, left, right)
 

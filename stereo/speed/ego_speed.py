@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -59,7 +60,7 @@ class EgoSpeed:
         is_lost = (fastest_mps < _REST_MPS)[part] & (part[-1] > 0)
         if not is_lost.any():
             return self, np.zeros(0)
-        kept = {
+        kept: dict[str, Any] = {
             name: None if column is None else column[~is_lost]
             for name in ("time_s", "speed_mps", "positions_deg", "over_ground_mps")
             for column in (getattr(self, name),)
