@@ -21,10 +21,13 @@ from typing import Any
 import jinja2
 import numpy as np
 import numpy.typing as npt
+from scipy.special import expit
 
+from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import real_path
 from track_range.foundation.files.output_files import write_text
 from track_range.pipeline.colours import colour_of_each
+from track_range.ranging.warning.sequential_test import threshold
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.results.approaches import closest_approaches
 from track_range.results.events.event import Event, is_clip_name
@@ -108,7 +111,13 @@ def report_page(
     addresses by file name.
     """
     rows = columns if isinstance(columns, Rows) else Rows(columns)
-    rows = rows.with_columns({**road_columns(rows), **box_columns(rows, summary)})
+    rows = rows.with_columns(
+        {
+            **road_columns(rows),
+            **box_columns(rows, summary),
+            "alarm_threshold": _alarm_threshold(rows, _alarm_thresholds(summary)),
+        }
+    )
     tracks, users = summary.get("tracks") or {}, closest_approaches(rows)
     overlay = (summary.get("files") or {}).get("overlay")
     shown = None if events is None else shown_events(events)
@@ -225,7 +234,9 @@ def run_content(
 
 
 def _alarm_thresholds(summary: Mapping[str, Any]) -> dict[str, float]:
-    """Probabilities of contact from which an alarm starts and below which it ends, of the run."""
+    """Probabilities of contact from which an alarm starts where hard braking is needed, and below
+    which it ends.
+    """
     given = (summary.get("settings") or {}).get("warning_options") or {}
     names = {"on": "on_probability", "person": "person_probability", "off": "off_probability"}
     usual = WarningSettings()
@@ -234,6 +245,15 @@ def _alarm_thresholds(summary: Mapping[str, Any]) -> dict[str, float]:
         chosen = tables.figure(given, name)
         thresholds[key] = getattr(usual, name) if chosen is None else chosen
     return thresholds
+
+
+def _alarm_threshold(rows: Rows, limits: Mapping[str, float]) -> FloatArray:
+    """(N,) probability of contact from which an alarm starts, by the deceleration that is needed
+    after the reaction time; NaN = that is unknown, as beside the path.
+    """
+    is_person = np.asarray(rows["class"]) == "person"
+    on = np.where(is_person, limits["person"], limits["on"])
+    return np.asarray(expit(threshold(on, rows["mdrac_mps2"])))
 
 
 def embedded(content: Mapping[str, Any]) -> str:

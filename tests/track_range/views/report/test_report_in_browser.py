@@ -7,6 +7,7 @@ which one is displayed.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -290,16 +291,19 @@ def test_probability_of_contact_in_the_cards(
     columns = rows(N_FRAMES, 12)
     is_first = columns["track_id"] == 1
     columns["contact_probability"] = np.where(is_first, 0.04 * columns["frame"], np.nan)
+    columns["mdrac_mps2"] = np.where(columns["frame"] < 5, 2.5, 8.0)
     settings = {"warning_options": {"on_probability": 0.5}}
     write_report(tmp_path / "report.html", summary(settings=settings, files={}), columns, EVENTS)
     page = page_of(tmp_path / "report.html")
     charts = page.locator("#events .probability")
     assert charts.count() == 2  # the second event is of a track without a probability
     label = str(charts.first.get_attribute("aria-label"))
-    assert "car 1; alarm from 50 %, off below 10 %" in label
+    assert "car 1; alarm from 50 % where hard braking is needed, off below 10 %" in label
     assert "first seen at 0.0 s, warning at 0.5 s, most critical at 0.9 s" in label
-    top, middle = (charts.first.locator(".limit").first.get_attribute(f"y{end}") for end in "12")
-    assert top == middle == "24"  # half of the way from 5 to 43 px
+    limit = str(charts.first.locator("path.limit").get_attribute("d"))
+    heights = [float(point.split()[1]) for point in re.split("[ML]", limit)[1:]]
+    # 80 % where normal braking is enough, then 50 %: from 5 px at 100 % to 43 px at 0 %
+    assert heights == pytest.approx([12.6] * 5 + [24.0] * 15)
     shown = charts.first.locator(".line").get_attribute("d")
     assert len(str(shown).split("L")) == 20  # frames 0 to 19: 1 s after the end at 0.9 s
     assert page_of(run / "report.html").locator("#events .probability").count() == 0

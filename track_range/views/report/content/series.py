@@ -41,6 +41,7 @@ _SERIES = (  # column, key in the page and resolution, besides the distances
     ("passing", "pass", TICKS_PER_M),
     ("passing_sigma", "pass_s", TICKS_PER_M),
     ("contact_probability", "p", 100.0),
+    ("alarm_threshold", "p_on", 100.0),
     ("warning", "warning", 1.0),
     ("box_left", "x1", 1.0),
     ("box_top", "y1", 1.0),

@@ -15,7 +15,7 @@ function probabilityChart(event) {
   const track = tracks.find(({ id }) => id === event.track_id);
   if (!track?.p || !content.alarm) return null;
   const from_s = Math.max(event.start_s - AROUND_S.before, span.from_s), to_s = Math.min(event.end_s + AROUND_S.after, span.to_s);
-  const { t, p, isBreak } = series(track), { width, height, left, right, top, bottom } = PROBABILITY_BOX;
+  const { t, p, p_on, isBreak } = series(track), { width, height, left, right, top, bottom } = PROBABILITY_BOX;
   const rows = Array.from(t.keys()).filter((i) => t[i] >= from_s && t[i] <= to_s);
   if (!rows.some((i) => Number.isFinite(p[i])) || !(to_s > from_s)) return null;
   const x = (time_s) => left + ((time_s - from_s) / (to_s - from_s)) * (width - left - right);
@@ -25,14 +25,15 @@ function probabilityChart(event) {
   const moments = [["seen", seen_s, "first seen"], ["warned", event.warning_s, "warning"], ["peak", event.peak_s, "most critical"]].filter(([, time_s]) => time_s !== null);
   const words = moments.map(([, time_s, name]) => `${name} at ${clockText(time_s)}`).join(", ");
   const svg = shape("svg", { class: "probability", viewBox: `0 0 ${width} ${height}`, role: "img",
-    "aria-label": `Predicted probability of contact of ${titleOf(track)}; alarm from ${percent(on)}, off below ${percent(content.alarm.off)}; ${words}` });
-  svg.append(shape("title", {}, `Predicted probability of contact; dashed: an alarm needs ${percent(on)}; dotted: it ends below ${percent(content.alarm.off)}; ${words}`));
-  for (const [limit, dash] of [[on, "4 3"], [content.alarm.off, "1 3"]])
-    svg.append(shape("line", { class: "limit", x1: left, x2: width - right, y1: y(limit), y2: y(limit), "stroke-dasharray": dash }));
+    "aria-label": `Predicted probability of contact of ${titleOf(track)}; alarm from ${percent(on)} where hard braking is needed, off below ${percent(content.alarm.off)}; ${words}` });
+  svg.append(shape("title", {}, `Predicted probability of contact; dashed: an alarm needs this, at least ${percent(on)}; dotted: it ends below ${percent(content.alarm.off)}; ${words}`));
+  const off_y = y(content.alarm.off), xs = rows.map((i) => x(t[i])), isGap = (i) => isBreak(rows[i]);
+  svg.append(shape("line", { class: "limit", x1: left, x2: width - right, y1: off_y, y2: off_y, "stroke-dasharray": "1 3" }));
+  if (p_on) svg.append(shape("path", { class: "limit", d: linePath(xs, rows.map((i) => y(p_on[i])), isGap), "stroke-dasharray": "4 2" }));
   svg.append(shape("line", { class: "axis", x1: left, x2: width - right, y1: y(0), y2: y(0) }));
   for (const [name, time_s] of moments)
     svg.append(shape("line", { class: name, x1: x(time_s), x2: x(time_s), y1: top, y2: y(0) }));
-  svg.append(shape("path", { class: "line", d: linePath(rows.map((i) => x(t[i])), rows.map((i) => y(p[i])), (i) => isBreak(rows[i])) }));
+  svg.append(shape("path", { class: "line", d: linePath(xs, rows.map((i) => y(p[i])), isGap) }));
   for (const [text, at] of [["100 %", 1], [percent(on), on]])
     svg.append(shape("text", { x: left - 3, y: y(at) + 3, "text-anchor": "end" }, text));
   svg.append(shape("text", { x: left, y: height - 2 }, clockText(from_s)), shape("text", { x: width - right, y: height - 2, "text-anchor": "end" }, clockText(to_s)));

@@ -54,7 +54,7 @@ function series(track) {
       t, m: inMetres(track.m), s: inMetres(track.s), truth: unpack(track.truth, 100), closing: unpack(track.closing, 10),
       x: unpack(track.x, 100), w: unpack(track.w, 100), ttc: unpack(track.ttc, 100), pass: unpack(track.pass, 100),
       box: [track.x1, track.y1, track.x2, track.y2].map((side) => unpack(side, 1)),
-      o: unpack(track.o, 100), pass_s: unpack(track.pass_s, 100), p: unpack(track.p, 100), warning: unpack(track.warning, 1),
+      o: unpack(track.o, 100), pass_s: unpack(track.pass_s, 100), p: unpack(track.p, 100), p_on: unpack(track.p_on, 100), warning: unpack(track.warning, 1),
       step_s, isBreak: (i) => i > 0 && t[i] - t[i - 1] > longest_s,
     });
   }
