@@ -44,7 +44,6 @@ _TURN_DRIFT = 2.0
 
 # largest relative sigma that drifts: that of shapes; more is an unknown scale, which is constant
 _MAX_DRIFTING = 0.08
-_GROWTH_EVIDENCE = 1.0  # exponent of the likelihoods of growths, whose sigma is true
 
 _N_STATES = 15  # numbers per filter, see `FilterBank.rows`
 # a track that is predicted to be nearer has passed the camera, and its filter restarts
@@ -374,7 +373,6 @@ class FilterBank(NamedTuple):
             innovation.nu,
             innovation.P_zz + innovation.R,
             valid=np.asarray(innovation.valid.all(axis=1, keepdims=True)),
-            evidence=_GROWTH_EVIDENCE,
         )
         return self._replace(motion=motion, weight=weight, key=key)
 

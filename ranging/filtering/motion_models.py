@@ -8,7 +8,7 @@ models g of a track with the probabilities w_g:
 
     1. interaction       w_g' = (T w)_g                                 T: switching towards the prior of the class
     2. filtering         x_g, P_g, nu_g, S_g: one Kalman filter per model, with the density q_g (`FilterBank`)
-    3. probabilities     w_g'' ~ w_g' N(nu_g; 0, S_g)^a
+    3. probabilities     w_g'' ~ w_g' N(nu_g; 0, S_g)
     4. combination       x = sum w_g'' x_g     P = sum w_g'' (P_g + (x_g - x) (x_g - x)')
 
 Only the probabilities interact. In their algorithm, step 1 also mixes the states, so that each
@@ -28,7 +28,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 
 # of the own speed of moving objects, m/s per square root of a second
-ACCELERATION_NOISES = (0.25, 1.25)
+ACCELERATION_NOISES = (0.35, 1.25)
 _STATIC_NOISE = 0.02  # the same of static objects, whose relative size error changes
 _STATIC_SIGMA_MPS = 0.1  # of the own speed of static objects at the start
 STATIC_RATE_SIGMA_MPS = 0.2  # of the closing speed of static objects beside that of the ego speed
@@ -42,11 +42,6 @@ _SPEED_SIGMA_MPS = np.array(
     [{"person": 1.5, "bicycle": 4.0}.get(name, np.inf) for name in ROAD_CLASSES]
 )
 """(road classes,) largest standard deviation of the own speed of moving objects, m/s."""
-
-_EVIDENCE = 1.5
-"""Exponent a of the likelihoods. Fitted on KITTI's labelled tracks: with 1, static cars have a
-probability of 0.7 where 98 % are static, since the size error of an object is the same in all
-frames and its noise is smaller than declared."""
 
 _MAX_CHI2 = 25.0  # of innovations; larger ones are outliers in every model
 
@@ -104,18 +99,10 @@ class InteractingModels:
         return np.asarray(weight * (prior > 0))
 
     def update_probabilities(
-        self,
-        weight: FloatArray,
-        nu: FloatArray,
-        S: FloatArray,
-        *,
-        valid: BoolArray,
-        evidence: float = _EVIDENCE,
+        self, weight: FloatArray, nu: FloatArray, S: FloatArray, *, valid: BoolArray
     ) -> FloatArray:
-        """Step 3: probabilities after the innovations nu of variance S, where valid; `evidence` is
-        the exponent a.
-        """
-        likelihood = np.exp(-0.5 * evidence * (np.minimum(nu * nu / S, _MAX_CHI2) + np.log(S)))
+        """Step 3: probabilities after the innovations nu of variance S, where valid."""
+        likelihood = np.exp(-0.5 * (np.minimum(nu * nu / S, _MAX_CHI2) + np.log(S)))
         weight = np.where(valid, weight * likelihood, weight)
         total = np.add.reduce(weight, axis=1, keepdims=True)
         return np.asarray(weight / np.maximum(total, 1e-300))

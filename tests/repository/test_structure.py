@@ -82,7 +82,7 @@ MOST_STATEMENTS = {
     # changes of a believed size are no motion (41); probabilities of the states of motion (31)
     # a sequential test in place of waiting times, and vehicles that cross and give way (51)
     # figures of each drive of labelled boxes (13)
-    "ranging": 7_191,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 7_189,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     "api": 106,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
@@ -101,12 +101,14 @@ MOST_STATEMENTS = {
     # the mounting of a rig file (2)
     # what happens in a recording, of several drives (17)
     # a table by drive of labelled distances (23)
-    "cli": 2_462,
+    # tables by cell and by drive (13)
+    "cli": 2_475,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (145), several drives together, and intervals of rates (49)
     # states of motion by true state and by probability (48)
-    "evaluation": 1_788,  # times and region of labelled motion, and every class of nuScenes (10)
+    # errors and sigmas of motion by cell and by drive (71)
+    "evaluation": 1_859,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     "fleet": 3_236,  # what a lost worker counts as is a function that tests call (5)
     # contradictions name their options (9); one registry with priorities and notes (65)

@@ -17,8 +17,10 @@ from typing import Any
 NOTHING = "-"  # text of a value that was not measured
 SIGMA = "\N{GREEK SMALL LETTER SIGMA}"
 WITHIN_1_SIGMA, WITHIN_2_SIGMA = 0.6827, 0.9545  # of a normal distribution
-WITHIN_1_HEADING, WITHIN_2_HEADING = (f"\N{LESS-THAN OR EQUAL TO}{k}{SIGMA} %" for k in (1, 2))
-"""Headings of the percentage of errors within one and two sigma."""
+WITHIN_1_HEADING, WITHIN_2_HEADING, WITHIN_3_HEADING = (
+    f"\N{LESS-THAN OR EQUAL TO}{k}{SIGMA} %" for k in (1, 2, 3)
+)
+"""Headings of the percentage of errors within one, two and three sigma."""
 
 # function of a value that is smallest for the best value of a column
 Cost = Callable[[float], float]

@@ -4,6 +4,7 @@ drives.
 
 from typing import Any
 
+from track_range.evaluation.motion.cells import cell_figures
 from track_range.evaluation.motion.labelled_motion import LabelledMotion, kitti_motion
 from track_range.evaluation.motion.measured_motion import measured_motion
 from track_range.evaluation.motion.nuscenes import nuscenes_motion
@@ -25,7 +26,7 @@ def evaluate_motion(settings: MotionEvaluationSettings) -> dict[str, Any]:
     shown = {"labels": str(settings.labels), "data": settings.data}
     if settings.data == "tusimple":
         truth, measured, score = tusimple_motion(settings.labels)
-        figures = {**motion_figures(truth, measured), "velocity_score": score}
+        figures: dict[str, Any] = {"velocity_score": score}
         note = "Measured by runs with one camera."
     else:
         truth = _truth(settings)
@@ -37,7 +38,7 @@ def evaluate_motion(settings: MotionEvaluationSettings) -> dict[str, Any]:
         )
         known = {"is_ego_known": settings.ego == "poses", "look_ahead": settings.look_ahead}
         measured = measured_motion(truth, settings.method, options, **known)
-        figures, note = motion_figures(truth, measured), f"Ego speed: {settings.ego}."
+        figures, note = {}, f"Ego speed: {settings.ego}."
         names = ("boxes", "noise_px", "seed", "method", "region", "ego", "look_ahead")
         shown |= {name: getattr(settings, name) for name in names} | {
             "cross_validated": settings.cross_validate
@@ -46,6 +47,8 @@ def evaluate_motion(settings: MotionEvaluationSettings) -> dict[str, Any]:
         **shown,
         "n_boxes": len(truth.boxes),
         "time_step_s": truth.boxes.time_step_s,
+        **motion_figures(truth, measured),
+        **cell_figures(truth, measured),
         **figures,
         "notes": [f"Truth: {truth.protocol}. {note}", *truth.boxes.notes],
     }

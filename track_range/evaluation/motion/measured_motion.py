@@ -80,10 +80,13 @@ class MeasuredMotion:
     closing_mps: FloatArray
     closing_sigma_mps: FloatArray
     ttc_s: FloatArray
+    ttc_sigma_s: FloatArray
     speed_mps: FloatArray  # over ground
     speed_sigma_mps: FloatArray
     state: FloatArray  # index into `MOTION_STATES`
     state_probability: FloatArray
+    static: FloatArray  # probability that the object does not move along the camera's axis
+    ego_mps: FloatArray  # speed of the camera, as the filters know it
 
 
 def measured_motion(
@@ -107,7 +110,7 @@ def measured_motion(
         )
     boxes = motion.boxes
     columns = measured_by(names, boxes, boxes, options)
-    values, is_alarm = np.full((8, len(boxes)), np.nan), np.zeros(len(boxes), np.bool_)
+    values, is_alarm = np.full((11, len(boxes)), np.nan), np.zeros(len(boxes), np.bool_)
     forward = np.full((6, len(boxes)), np.nan)
     warnings = {number: CollisionWarning() for number in np.flatnonzero(motion.are_ahead).tolist()}
     motions = {
@@ -124,12 +127,14 @@ def measured_motion(
         world = motions[sequence].update(
             tracks.track_id, tracks.class_id, state, lateral, time_s, ego=ego, pose=EgoPose()
         )
-        closing = (-state.rate_mps, state.rate_sigma_mps, state.ttc_s)
-        speed = (world.speed_mps, world.speed_sigma_mps, world.state, world.state_probability)
-        values[:, rows] = state.ranges.distance_m, *closing, *speed
+        values[0, rows] = state.ranges.distance_m
+        values[1:5, rows] = -state.rate_mps, state.rate_sigma_mps, state.ttc_s, state.ttc_sigma_s
+        values[5:7, rows] = world.speed_mps, world.speed_sigma_mps
+        values[7:10, rows] = world.state, world.state_probability, state.static
+        values[10, rows] = ego.speed_mps
         forward[:, rows] = _state(state)
     if look_ahead:
-        values[1:4] = _with_look_ahead(motion, columns, is_ego_known, forward)
+        values[1:5] = _with_look_ahead(motion, columns, is_ego_known, forward)
     return MeasuredMotion(is_alarm, *values)
 
 
@@ -182,13 +187,14 @@ def _with_look_ahead(
     columns: Mapping[str, MethodColumn],
     is_ego_known: bool,
     forward: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(N,) closing speeds, sigmas and times to collision, from forward states (6, N) and a filter
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """(N,) closing speeds and times to collision with their sigmas, from forward states (6, N) and a filter
     backwards in time.
     """
     backward = np.full_like(forward, np.nan)
     for rows, _, _, filtered, _ in _filtered(motion, columns, is_ego_known, sign=-1):
         backward[:, rows] = _state(filtered)
     state = combined(ConstantVelocity(*forward[:5]), ConstantVelocity(*backward[:5]))
-    ttc_s, _ = time_to_collision(state.x, state.v, variances=(state.P_xx, state.P_xv, state.P_vv))
-    return -state.v, np.sqrt(state.P_vv + np.fmin(forward[5], backward[5])), ttc_s
+    sigma_mps = np.sqrt(state.P_vv + np.fmin(forward[5], backward[5]))
+    variances = (state.P_xx, state.P_xv, state.P_vv)
+    return -state.v, sigma_mps, *time_to_collision(state.x, state.v, variances=variances)

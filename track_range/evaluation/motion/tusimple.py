@@ -67,10 +67,10 @@ def tusimple_motion(folder: Path) -> tuple[LabelledMotion, MeasuredMotion, dict[
         duration_s=duration_s,
         protocol=protocol,
     )
-    distance_m, closing_mps, sigma_mps, ttc_s, lateral_mps = measured.T
-    answers = MeasuredMotion(
-        np.zeros(len(labels), np.bool_), distance_m, closing_mps, sigma_mps, ttc_s, *[nan] * 4
-    )
+    *motion, lateral_mps = measured.T
+    closing_mps = motion[1]
+    is_alarm = np.zeros(len(labels), np.bool_)
+    answers = MeasuredMotion(is_alarm, *motion, *[nan] * 6)
     answer_mps = np.nan_to_num(np.stack([-closing_mps, lateral_mps], axis=1))
     return truth, answers, velocity_score(answer_mps, velocity_mps, position_m)
 
@@ -141,11 +141,11 @@ def _images(clip: Path) -> list[Path]:
 
 
 def _measured(clip: Path, labels: FloatArray) -> FloatArray:
-    """(N, 5) distance, closing speed, its sigma, time to collision, lateral velocity of labels (N,
-    8); NaN = none.
+    """(N, 6) distance, closing speed and time to collision with their sigmas, lateral velocity of
+    labels (N, 8); NaN = none.
     """
     results = list(_results(clip))
-    last, measured = results[-1], np.full((len(labels), 5), np.nan)
+    last, measured = results[-1], np.full((len(labels), 6), np.nan)
     overlap = iou(labels[:, :4], last.tracks.xyxy_px)
     for row in np.flatnonzero(overlap.max(axis=1, initial=0.0) >= MIN_IOU):
         track = int(np.argmax(overlap[row]))
@@ -154,6 +154,7 @@ def _measured(clip: Path, labels: FloatArray) -> FloatArray:
             last.closing_mps,
             last.closing_sigma_mps,
             last.ttc_s,
+            last.ttc_sigma_s,
         )
         at = [
             (

@@ -36,6 +36,21 @@ _SPEED: tuple[tables.ColumnSpec, ...] = (
     (tables.WITHIN_1_HEADING, "within_1_sigma", "{:.0f}", 100.0),
     (tables.WITHIN_2_HEADING, "within_2_sigma", "{:.0f}", 100.0),
 )
+_CELL: tuple[tables.ColumnSpec, ...] = (
+    ("n", "n", "{:.0f}"),
+    ("coverage %", "coverage", "{:.0f}", 100.0),
+    ("rms", "rms", "{:.2f}"),
+    ("median", "median_error", "{:.2f}"),
+    (f"stated {tables.SIGMA}", "stated_sigma", "{:.2f}"),
+    (tables.WITHIN_1_HEADING, "within_1_sigma", "{:.0f}", 100.0),
+    (tables.WITHIN_2_HEADING, "within_2_sigma", "{:.0f}", 100.0),
+    (tables.WITHIN_3_HEADING, "within_3_sigma", "{:.0f}", 100.0),
+)
+_QUANTITIES = {
+    "closing": "Closing speed, m/s",
+    "speed": "Speed over ground, m/s",
+    "ttc": "Time to collision, s",
+}
 _TTC: tuple[tables.ColumnSpec, ...] = (
     ("n", "n", "{:.0f}"),
     ("coverage %", "coverage", "{:.0f}", 100.0),
@@ -74,6 +89,19 @@ def _grids(figures: Mapping[str, Any]) -> Iterator[tables.Grid]:
     rates = [tables.Column(name, [limit], "{:.1f}") for name, limit in limits]
     columns = [*tables.columns_of([figures["warnings"]], _WARNINGS), *rates, *counts]
     yield tables.grid_of("Warnings", "", ["all"], columns)
+    yield from _cell_grids(figures)
+
+
+def _cell_grids(figures: Mapping[str, Any]) -> Iterator[tables.Grid]:
+    for name, title in _QUANTITIES.items():
+        cells = {cell: row for cell, row in figures["cells"][name].items() if row["n"]}
+        columns = tables.columns_of(cells.values(), _CELL)
+        yield tables.grid_of(f"{title}, by cell", "objects", list(cells), columns)
+    for name, title in _QUANTITIES.items():
+        drives, worst = figures["drives"][name], figures["worst_drives"][name]
+        names = [f"{drive} (worst)" if drive == worst else drive for drive in drives]
+        columns = tables.columns_of(drives.values(), _CELL)
+        yield tables.grid_of(f"{title}, by drive", "drive", names, columns)
 
 
 app = command(MotionOptions, _motion)

@@ -1,0 +1,136 @@
+"""Errors and sigmas of measured motion by cell and by drive.
+
+A cell is a named mask of the boxes. A sigma that is true for all boxes together may be too small in
+the cells that matter and too large in the others; a pooled figure may hide a drive.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from track_range.evaluation.motion.labelled_motion import LabelledMotion
+from track_range.evaluation.motion.measured_motion import MeasuredMotion
+from track_range.evaluation.motion.scores import MAX_SIGMA_MPS
+from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.ranging.truth.errors import fraction
+
+_DISTANCES_M = ((5, 10), (10, 20), (20, 40), (40, 80))
+_OWN_SPEEDS_MPS = {"0-0.5": (0.0, 0.5), "0.5-2": (0.5, 2.0), "2-6": (2.0, 6.0), "6-": (6.0, np.inf)}
+_MOVING_MPS = 1.0  # smallest own speed of an object that certainly moves in the labels
+_CLASSES = {
+    "vehicles": ("car", "van", "truck", "bus"),
+    "people": ("person",),
+    "cyclists": ("bicycle", "motorcycle"),
+}
+_BORDER_PX = 2.0  # distance from the image border within which a box counts as cut
+_TURN_RAD_S = 0.1  # smallest yaw rate of a turn: 6 degrees per second
+_BELIEVED = 0.9  # smallest probability of an object that is believed to be static
+_STANDING_MPS = 0.5  # largest speed of a camera that stands
+_MAX_TTC_S = 20.0  # largest true time to collision that is compared
+_MIN_OF_DRIVE = 50  # smallest number of values of a drive that can be the worst one
+
+
+@dataclass(frozen=True, slots=True)
+class MotionQuantity:
+    """One measured quantity of N boxes, (N,) each, in m/s or s."""
+
+    value: FloatArray  # NaN = no answer
+    sigma: FloatArray
+    true: FloatArray  # NaN = not known, and not compared
+
+    def figures(self, rows: BoolArray) -> dict[str, float | None]:
+        """Errors and sigmas in the rows (N,); None without an answer.
+
+        `rms` and `stated_sigma` are root mean squares, so that they agree if sigma is true.
+        """
+        known = rows & np.isfinite(self.true)
+        answered = known & np.isfinite(self.value) & np.isfinite(self.sigma)
+        error, sigma = np.abs(self.value - self.true)[answered], self.sigma[answered]
+        names = ("rms", "median_error", "stated_sigma")
+        figures: dict[str, float | None] = dict.fromkeys(names)
+        if len(error):
+            squares = np.sqrt(np.mean([error**2, sigma**2], axis=1))
+            values = np.round([squares[0], np.median(error), squares[1]], 4)
+            figures = dict(zip(names, values.tolist(), strict=True))
+        fractions = {f"within_{k}_sigma": fraction(error <= k * sigma) for k in (1, 2, 3)}
+        return {
+            "n": int(known.sum()),
+            "coverage": fraction(answered[known]),
+            **figures,
+            **fractions,
+        }
+
+
+def cell_figures(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, Any]:
+    """Figures of closing speed, speed over ground and time to collision by cell, and by drive with
+    the worst drive of each, as JSON values.
+    """
+    names, sequence = truth.boxes.sequence_names, truth.boxes.sequence
+    drives = {names[number]: sequence == number for number in np.unique(sequence).tolist()}
+    of_all = quantities(truth, measured)
+    by_cell, by_drive = (
+        {
+            name: {key: quantity.figures(rows) for key, rows in masks.items()}
+            for name, quantity in of_all.items()
+        }
+        for masks in (motion_cells(truth, measured), drives)
+    )
+    worst = {name: worst_drive(figures) for name, figures in by_drive.items()}
+    return {"cells": by_cell, "drives": by_drive, "worst_drives": worst}
+
+
+def motion_cells(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, BoolArray]:
+    """Masks (N,) of the boxes, by the name of the cell."""
+    boxes, own_mps = truth.boxes, truth.speed_mps
+    is_moving = own_mps > _MOVING_MPS
+    at = {f"{low}-{high} m": _between(boxes.distance_m, low, high) for low, high in _DISTANCES_M}
+    is_turn = np.abs(truth.yaw_rad_s) > _TURN_RAD_S
+    is_speed_known = np.isfinite(measured.ego_mps)
+    x1_px, y1_px, x2_px, y2_px = boxes.xyxy_px.T
+    right_px, bottom_px = boxes.size_px.T - 1 - _BORDER_PX
+    is_cut = (np.minimum(x1_px, y1_px) <= _BORDER_PX) | (x2_px >= right_px) | (y2_px >= bottom_px)
+    return {
+        "all": np.ones(len(boxes), np.bool_),
+        **at,
+        **{f"moving, {name}": is_moving & rows for name, rows in at.items()},
+        "cut by the border": is_cut,
+        "turn, speed known": is_turn & is_speed_known,
+        "turn, speed unknown": is_turn & ~is_speed_known,
+        **{
+            f"own speed {name} m/s": _between(own_mps, *limits)
+            for name, limits in _OWN_SPEEDS_MPS.items()
+        },
+        "believed static": measured.static > _BELIEVED,
+        **{name: np.isin(boxes.class_name, listed) for name, listed in _CLASSES.items()},
+        "camera stands": np.abs(truth.ego_mps) < _STANDING_MPS,
+    }
+
+
+def quantities(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, MotionQuantity]:
+    """The compared quantities by name; speeds with a sigma from 1.5 m/s are no answers."""
+    sigmas_mps = np.stack([measured.closing_sigma_mps, measured.speed_sigma_mps])
+    closing_sigma, speed_sigma = np.where(sigmas_mps < MAX_SIGMA_MPS, sigmas_mps, np.nan)
+    true_ttc_s = np.where(_between(truth.ttc_s, 0.0, _MAX_TTC_S), truth.ttc_s, np.nan)
+    return {
+        "closing": MotionQuantity(measured.closing_mps, closing_sigma, truth.closing_mps),
+        "speed": MotionQuantity(measured.speed_mps, speed_sigma, truth.speed_mps),
+        "ttc": MotionQuantity(measured.ttc_s, measured.ttc_sigma_s, true_ttc_s),
+    }
+
+
+def worst_drive(by_drive: Mapping[str, Mapping[str, float | None]]) -> str | None:
+    """The drive with the smallest fraction within 2 sigma of those with enough values; None = none
+    has.
+    """
+    fractions = {
+        name: figures["within_2_sigma"] or 0.0
+        for name, figures in by_drive.items()
+        if (figures["n"] or 0) * (figures["coverage"] or 0.0) >= _MIN_OF_DRIVE
+    }
+    return min(fractions, key=fractions.__getitem__, default=None)
+
+
+def _between(values: FloatArray, low: float, high: float) -> BoolArray:
+    return np.asarray((values >= low) & (values < high))
