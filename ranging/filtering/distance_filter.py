@@ -15,8 +15,8 @@ added to the state; a part of it that is new in each frame counts in full. This 
 V does not change, since the error of V does not change either. In turns, V is the speed with which
 static objects at the bearing b come nearer, V - w b d. A new track starts as a static target, v = -V.
 
-A filter runs for each of several models of the motion, static or with another q, and the results
-are their mean (`motion_models`). The closing speed of a static object is V, whatever its size.
+A filter runs for each of several models of the motion, static or with other accelerations, and the
+results are their mean (`motion_models`). The closing speed of a static object is V, whatever its size.
 
 The sigma of a method has an independent part, new in every frame (box jitter, matching noise), and
 a systematic part, constant over a track (the car is larger than average). Only the independent part
@@ -105,7 +105,9 @@ class DistanceFilters:
         self._models = InteractingModels(n_methods)
         if not self._settings.learns_noise:
             noises = (self._settings.acceleration_noise,)
-            self._models = InteractingModels(n_methods, noises=noises, has_static=False)
+            self._models = InteractingModels(
+                n_methods, noises=noises, accelerations_mps2=0.0, has_static=False
+            )
         self._stretch = math.nan  # of the given speed of the last frame
         self._new = FilterBank.new(self._models, self._settings, n_methods)
         self._tracks = TrackState(self._new.rows()[:, 0])

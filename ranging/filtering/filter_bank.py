@@ -11,6 +11,7 @@ and the steps of a filter.
 
     side     [d v k]'     (3)     heading parameter k of a box that the image border cuts (`cut_boxes`)
     key      [d v r]'     (3)     distance r in the key frame of the growth in the images (`key_distance`)
+    own      [d v a]'     (3)     acceleration a of moving objects over ground (`own_acceleration`)
 
 The matrices are of one filter. The code is written out by their elements, P by P_dd, P_dv, P_vv,
 and each element is an array (M, G, N) over all filters. No filter has k and r at the same time:
@@ -32,6 +33,7 @@ from track_range.ranging.filtering.cut_boxes import CutBoxes, SideState
 from track_range.ranging.filtering.key_distance import KeyDistance
 from track_range.ranging.filtering.motion_models import InteractingModels
 from track_range.ranging.filtering.observation import FilterStep
+from track_range.ranging.filtering.own_acceleration import OwnAcceleration
 
 # kappa, growth of the systematic variance per change of log distance; chosen on 13 of KITTI's
 # sequences
@@ -45,7 +47,7 @@ _TURN_DRIFT = 2.0
 # largest relative sigma that drifts: that of shapes; more is an unknown scale, which is constant
 _MAX_DRIFTING = 0.08
 
-_N_STATES = 15  # numbers per filter, see `FilterBank.rows`
+_N_STATES = 20  # numbers per filter, see `FilterBank.rows`
 # a track that is predicted to be nearer has passed the camera, and its filter restarts
 _MIN_DISTANCE_M = 0.3
 
@@ -113,6 +115,7 @@ class FilterBank(NamedTuple):
     ego_mps: FloatArray  # V of the last frame, see `EgoStep`; NaN = unknown
     side: SideState | None  # None = no box is cut
     key: KeyDistance | None  # None = there is no key frame
+    acceleration: OwnAcceleration
     history: History
     # relative variance of d by the noise of the free edges of this frame's boxes
     edge_variance: FloatArray | float = 0.0
@@ -131,6 +134,7 @@ class FilterBank(NamedTuple):
             ego_mps=nan,
             side=None,
             key=None,
+            acceleration=OwnAcceleration(zero, zero, zero, zero, zero),
             history=History(
                 systematic=none,
                 time_s=none,
@@ -146,8 +150,8 @@ class FilterBank(NamedTuple):
     def rows(self) -> FloatArray:
         """(rows, N) the state for `TrackState`.
 
-        The first 15 M G rows are of the models, (15, M, G, N): d v P_dd P_dv P_vv, probability, V,
-        k P_dk P_vk P_kk, r P_dr P_vr P_rr; the last 8 M are the history, (8, M, 1, N).
+        The first 20 M G rows are of the models, (20, M, G, N): d v P_dd P_dv P_vv, probability, V,
+        k P_dk P_vk P_kk, r P_dr P_vr P_rr, a P_da P_va P_aa P_ra; the last 8 M are the history, (8, M, 1, N).
         """
         side, key = self.side, self.key
         if side is None:
@@ -157,7 +161,8 @@ class FilterBank(NamedTuple):
         M, G, N = self.weight.shape
         rows = np.empty(((_N_STATES * G + len(self.history)) * M, N))
         states, history = self._split(rows)
-        _fill(states, (*self.motion.columns, self.weight, self.ego_mps, *side, *key))
+        own = (*self.motion.columns, self.weight, self.ego_mps)
+        _fill(states, (*own, *side, *key, *self.acceleration))
         _fill(history, self.history)
         return rows
 
@@ -169,7 +174,8 @@ class FilterBank(NamedTuple):
             weight=states[5],
             ego_mps=states[6],
             side=SideState(*states[7:11]),
-            key=KeyDistance(*states[11:]),
+            key=KeyDistance(*states[11:15]),
+            acceleration=OwnAcceleration(*states[15:]),
             history=History(*history),
         )
 
@@ -178,7 +184,7 @@ class FilterBank(NamedTuple):
         return History(*self._split(rows)[1])
 
     def _split(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The states (15, M, G, N) and the history (8, M, 1, N) in `rows`."""
+        """The states (20, M, G, N) and the history (8, M, 1, N) in `rows`."""
         M, G, _ = self.weight.shape
         N, n = rows.shape[-1], _N_STATES * M * G
         return rows[:n].reshape(_N_STATES, M, G, N), rows[n:].reshape(len(self.history), M, 1, N)
@@ -205,6 +211,8 @@ class FilterBank(NamedTuple):
         Filters without a recent measurement, and of tracks that have passed the camera, become NaN.
         """
         motion, side, edge_variance = self._moved(step)
+        sigma_mps2 = self._acceleration_sigma(step)
+        motion, acceleration = self.acceleration.predict(motion, step.dt, sigma_mps2)
         if step.ego.is_known:
             motion = _with_input(motion, step)
         P_dd = motion.P_xx
@@ -222,13 +230,14 @@ class FilterBank(NamedTuple):
         )
         key = self.key
         if key is not None:
-            key = key.predict(step.dt)
+            key = self.acceleration.predict_key(key, step.dt)
             if side is not None:
                 key = key.drop(step.slides)
         return self._replace(
             motion=motion,
             side=side,
             key=key,
+            acceleration=acceleration,
             edge_variance=edge_variance,
         )
 
@@ -237,7 +246,14 @@ class FilterBank(NamedTuple):
         if step.resized is None:
             return self
         key = None if self.key is None else self.key.scaled(step.resized)
-        return self._replace(motion=self.motion.scaled(step.resized), key=key)
+        acceleration = self.acceleration.scaled(step.resized)
+        return self._replace(
+            motion=self.motion.scaled(step.resized), key=key, acceleration=acceleration
+        )
+
+    def _acceleration_sigma(self, step: FilterStep) -> FloatArray:
+        """(G, N) sigma_a in m/s^2."""
+        return self.models.acceleration_sigma(step.class_id, is_ego_known=step.ego.is_known)
 
     def _moved(
         self, step: FilterStep
@@ -352,12 +368,16 @@ class FilterBank(NamedTuple):
         S = np.where(known, motion.P_xx + R, np.inf)
         nu = np.where(known, gate.nu, 0.0)
         weight = self.models.update_probabilities(self.weight, nu, S, valid=known)
+        P_dr = 0.0 if key is None else key.P_dr
+        acceleration = self.acceleration.correct(motion, P_dr, nu, S)
         if side is not None:
             side = side.correct(motion, nu, S)
         if key is not None:
             key = key.correct(motion, nu, S)
         motion = motion.correct(nu, S)
-        return self._replace(weight=weight, motion=motion, side=side, key=key)
+        return self._replace(
+            weight=weight, motion=motion, side=side, key=key, acceleration=acceleration
+        )
 
     def correct_by_growth(self, step: FilterStep, gate: Gate) -> FilterBank:
         """The state after the growth in the images since the key frames, by the same equations."""
@@ -365,16 +385,17 @@ class FilterBank(NamedTuple):
         if growth is None or self.key is None:
             return self
         innovation = self.key.innovation(self.motion, growth, valid=~gate.is_lost)
-        motion, key = self.key.correct_by_growth(
+        motion, key, used = self.key.correct_by_growth(
             self.motion, innovation, outlier_sigma=self.settings.outlier_sigma
         )
+        acceleration = self.acceleration.correct_by_growth(innovation, used)
         weight = self.models.update_probabilities(
             self.weight,
             innovation.nu,
             innovation.P_zz + innovation.R,
             valid=np.asarray(innovation.valid.all(axis=1, keepdims=True)),
         )
-        return self._replace(motion=motion, weight=weight, key=key)
+        return self._replace(motion=motion, weight=weight, key=key, acceleration=acceleration)
 
     def restart(self, step: FilterStep, gate: Gate) -> FilterBank:
         """The state where measured filters start: d = z, v = -V, and the models at their prior."""
@@ -396,8 +417,14 @@ class FilterBank(NamedTuple):
             side = side.restart(starts)
         if key is not None:
             key = key.restart(starts)
-        weight = np.where(starts, step.prior, self.weight)
-        return self._replace(motion=motion, weight=weight, side=side, key=key)
+        sigma_mps2 = self._acceleration_sigma(step)
+        return self._replace(
+            motion=motion,
+            weight=np.where(starts, step.prior, self.weight),
+            side=side,
+            key=key,
+            acceleration=self.acceleration.restart(starts, sigma_mps2),
+        )
 
     def _first_rate(self, step: FilterStep) -> tuple[FloatArray, FloatArray]:
         """Rates of new tracks, and their standard deviations."""
@@ -416,7 +443,10 @@ class FilterBank(NamedTuple):
         growth = step.observation.growth
         if growth is None or self.key is None or not growth.is_key.any():
             return self
-        return self._replace(key=self.key.start(self.motion, growth.is_key))
+        return self._replace(
+            key=self.key.start(self.motion, growth.is_key),
+            acceleration=self.acceleration.start_key(growth.is_key),
+        )
 
     def remember(self, step: FilterStep, gate: Gate) -> FilterBank:
         """The state with what the next frame has to know of this one."""

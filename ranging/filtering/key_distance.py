@@ -96,12 +96,14 @@ class KeyDistance(NamedTuple):
             P_vz=P_vz,
             P_rz=P_rz,
             P_zz=np.maximum(c * P_rz - P_dz, 0.0),
+            c=c,
         )
 
     def correct_by_growth(
         self, motion: ConstantVelocity, growth: GrowthInnovation, *, outlier_sigma: float
-    ) -> tuple[ConstantVelocity, KeyDistance]:
-        """Motion and key distance after the growth; unchanged where it is not valid.
+    ) -> tuple[ConstantVelocity, KeyDistance, FloatArray]:
+        """Motion and key distance after the growth, and the weight 1 / S that it had; 0 = unchanged,
+        since it is not valid or was given up.
 
         Measurements beyond `outlier_sigma` standard deviations are down-weighted. Where the
         covariance would not be positive, since distances far apart are not linear, the key frame is
@@ -127,11 +129,11 @@ class KeyDistance(NamedTuple):
         )
         is_lost = growth.valid & ~key._is_positive(grown)
         if not is_lost.any():
-            return grown, key
+            return grown, key, weight
         kept = (
             np.where(is_lost, *pair) for pair in zip(motion.columns, grown.columns, strict=True)
         )
-        return ConstantVelocity(*kept), key.drop(is_lost)
+        return ConstantVelocity(*kept), key.drop(is_lost), np.where(is_lost, 0.0, weight)
 
     def _is_positive(self, motion: ConstantVelocity) -> BoolArray:
         """Whether variances are positive and d and v not more than fully correlated."""
@@ -173,3 +175,4 @@ class GrowthInnovation(NamedTuple):
     P_vz: FloatArray
     P_rz: FloatArray
     P_zz: FloatArray  # H P H'; the variance of nu is P_zz + R
+    c: FloatArray  # d / r; 0 = not valid

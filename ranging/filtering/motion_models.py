@@ -1,7 +1,8 @@
 """InteractingModels: how an object may move, with a filter and a probability for each model.
 
     static         own speed 0: v = -V, but by sizes that are wrong by s, v = -(1 + s) V
-    moving         the own speed v + V is a random walk, calm or agile: with a small or a large density q_g
+    moving         the own speed v + V changes by accelerations that last (`OwnAcceleration`), calm or agile:
+                   with a small or a large standard deviation sigma_a
 
 The four steps of Blom and Bar-Shalom (The interacting multiple model algorithm, 1988), for the
 models g of a track with the probabilities w_g:
@@ -27,8 +28,16 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 
-# of the own speed of moving objects, m/s per square root of a second
-ACCELERATION_NOISES = (0.35, 1.25)
+# of the own speed of moving objects beside their acceleration, m/s per square root of a second
+MOVING_NOISES = (0.2, 0.2)
+# sigma_a of calm and agile road users, m/s^2; as are the changes of the speeds of moving objects on
+# 13 of KITTI's sequences, for vehicles those from 0.5 to 4 s
+_ACCELERATIONS_MPS2 = np.array(
+    [{"person": (0.1, 0.3), "bicycle": (0.25, 0.6)}.get(name, (0.4, 1.5)) for name in ROAD_CLASSES]
+).T
+"""(2, road classes)"""
+# of a camera whose speed is unknown: the rates of all objects change with its own speed, m/s^2
+_EGO_ACCELERATION_MPS2 = 0.5
 _STATIC_NOISE = 0.02  # the same of static objects, whose relative size error changes
 _STATIC_SIGMA_MPS = 0.1  # of the own speed of static objects at the start
 STATIC_RATE_SIGMA_MPS = 0.2  # of the closing speed of static objects beside that of the ego speed
@@ -55,16 +64,20 @@ class InteractingModels:
         self,
         n_methods: int = 1,
         *,
-        noises: tuple[float, ...] = ACCELERATION_NOISES,
+        noises: tuple[float, ...] = MOVING_NOISES,
+        accelerations_mps2: FloatArray | float = _ACCELERATIONS_MPS2,
         has_static: bool = True,
     ) -> None:
-        """Start with the priors; `noises` are for moving objects, and without `has_static` all
-        objects move.
+        """Start with the priors; `noises` and sigma_a are for moving objects, and without
+        `has_static` all objects move.
         """
         noises = (_STATIC_NOISE, *noises)
         self.is_static: BoolArray = np.arange(len(noises))[:, None] == 0  # (G, 1)
         self._is_moving = ~self.is_static
         self.q: FloatArray = np.array(noises)[:, None] ** 2  # (G, 1)
+        # (G, road classes) sigma_a
+        self._acceleration_mps2 = np.zeros((len(noises), len(ROAD_CLASSES)))
+        self._acceleration_mps2[1:] = accelerations_mps2
         static = _STATIC_PRIOR * has_static
         # (G, road classes)
         self._first_prior = np.where(self.is_static, static, (1 - static) / (len(noises) - 1))
@@ -84,6 +97,13 @@ class InteractingModels:
         """
         moving = np.minimum(_SPEED_SIGMA_MPS[class_id], moving_mps)
         return np.hypot(np.where(self.is_static, _STATIC_SIGMA_MPS, moving), scale_mps)
+
+    def acceleration_sigma(self, class_id: IntArray, *, is_ego_known: bool) -> FloatArray:
+        """(G, N) sigma_a of the tracks, in m/s^2; 0 for static models."""
+        sigma = self._acceleration_mps2[:, class_id]
+        if is_ego_known:
+            return sigma
+        return np.where(sigma > 0, np.hypot(sigma, _EGO_ACCELERATION_MPS2), 0.0)
 
     def interact(self, weight: FloatArray, prior: FloatArray, dt: FloatArray) -> FloatArray:
         """Step 1: probabilities after the time dt, in which objects may have changed their model.

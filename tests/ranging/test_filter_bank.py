@@ -27,7 +27,9 @@ def of(value):
 
 def new_bank(settings=SETTINGS):
     """A new track in the filters of one method, with a static and a moving model with q = 0.5^2."""
-    models = InteractingModels(noises=(0.5,), has_static=settings.learns_noise)
+    models = InteractingModels(
+        noises=(0.5,), accelerations_mps2=0.0, has_static=settings.learns_noise
+    )
     return FilterBank.new(models, settings, 1)
 
 

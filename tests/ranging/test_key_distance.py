@@ -21,7 +21,7 @@ def growth(log_ratio, sigma, *, is_key=False):
 def grown(key, state, measured, *, outlier_sigma=3.0):
     """Motion and key distance after a growth."""
     innovation = key.innovation(state, measured, valid=YES)
-    return key.correct_by_growth(state, innovation, outlier_sigma=outlier_sigma)
+    return key.correct_by_growth(state, innovation, outlier_sigma=outlier_sigma)[:2]
 
 
 def test_against_a_filter_of_three_states():
@@ -170,5 +170,6 @@ def test_a_model_that_predicts_an_object_behind_the_camera_is_not_measured():
     key = KeyDistance(*np.array([62.0, 0.0, 0.0, 4.0]).reshape(4, 1, 1))
     innovation = key.innovation(state, growth(0.06, 0.01), valid=YES)
     assert not innovation.valid.any()
-    after, _ = key.correct_by_growth(state, innovation, outlier_sigma=3.0)
+    after, _, used = key.correct_by_growth(state, innovation, outlier_sigma=3.0)
+    assert used.item() == 0.0
     np.testing.assert_array_equal(after.columns, state.columns)

@@ -201,3 +201,18 @@ def test_nothing_changes_to_a_static_model_that_follows_a_moving_object(own_mps)
     result = filtered([own_mps] * 8, steps=120, noise=0.01)
     assert (result.static < 0.02).all()
     assert -result.rate_mps == pytest.approx(np.full(8, EGO_MPS - own_mps), abs=1.0)
+
+
+def test_accelerations_by_class():
+    """Of static models none; without an ego speed, that of the camera adds, but not to those."""
+    models = InteractingModels()
+    classes = np.array([CAR, PERSON])
+    known = models.acceleration_sigma(classes, is_ego_known=True)
+    assert known[0].tolist() == [0.0, 0.0]
+    assert (known[1] < known[2]).all()
+    assert (known[1:, 1] < known[1:, 0]).all()
+    unknown = models.acceleration_sigma(classes, is_ego_known=False)
+    assert unknown[0].tolist() == [0.0, 0.0]
+    assert unknown[1:] == pytest.approx(np.hypot(known[1:], 0.5))
+    only = InteractingModels(noises=(0.5,), accelerations_mps2=0.0)
+    assert not only.acceleration_sigma(classes, is_ego_known=False).any()
