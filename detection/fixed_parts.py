@@ -81,7 +81,7 @@ class FixedParts:
         if self.n_left_out == 0:
             return ()
         return (
-            f"On parts of the image that never move (burnt-in text, things on the dashboard), "
+            "On parts of the image that never move (burnt-in text, things on the dashboard), "
             f"{counted(self.n_left_out, 'box', 'boxes')} left out.",
         )
 
@@ -153,11 +153,11 @@ class FixedParts:
         is_fixed_block = (fixed_blocks > moving_blocks) & (fixed_blocks > _TEXTURE / 2)
         is_textured = is_fixed_block | (moving_blocks > _LEAST_MOVING)
         n_fixed = np.count_nonzero(is_fixed_block)
-        return n_fixed > _MOST_TEXTURE * np.count_nonzero(is_textured)
+        return bool(n_fixed > _MOST_TEXTURE * np.count_nonzero(is_textured))
 
 
 def _stride_px(image: Image) -> int:
-    return max(1, round(max(image.shape[:2]) / _GRID_PX))
+    return max(1, int(max(image.shape[:2]) / _GRID_PX + 0.5))
 
 
 def _slopes(image: Image, stride_px: int) -> FloatArray32:
@@ -196,7 +196,8 @@ def _has_moved(before: FloatArray32, now: FloatArray32) -> bool:
     is_textured = both > _LEAST_COARSE
     is_changed = is_textured & (change > _MIN_CHANGE * both)
     n_textured = np.count_nonzero(is_textured)
-    return n_textured >= _MIN_TILES and np.count_nonzero(is_changed) >= _CHANGED * n_textured
+    n_changed = np.count_nonzero(is_changed)
+    return bool(n_textured >= _MIN_TILES and n_changed >= _CHANGED * n_textured)
 
 
 def _means(values: FloatArray32, side_px: int) -> FloatArray32:
