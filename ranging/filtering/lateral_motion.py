@@ -171,19 +171,21 @@ class LateralFilters:
 
         An error of the rate is one of the lateral speed, in proportion to the bearing.
         """
-        is_new = np.isnan(self._tracks.get(tracks.track_id)[0]) & np.isfinite(distance.v)
-        if not self._unconfirmed or not is_new.any():
+        if not self._unconfirmed:
             return
         earlier = np.concatenate([seen.tracks.track_id for seen in self._unconfirmed])
-        is_new &= np.isin(tracks.track_id, earlier)
-        new_ids, objects_mps = (
-            tracks.track_id[is_new],
-            np.broadcast_to(own_mps, len(tracks))[is_new],
-        )
+        is_new = np.isin(tracks.track_id, earlier) & np.isfinite(distance.v)
+        is_new &= np.isnan(_LateralState._make(self._tracks.get(tracks.track_id)).time_s)
+        if not is_new.any():
+            return
+        new_ids = tracks.track_id[is_new]
+        objects_mps = np.broadcast_to(own_mps, len(tracks))[is_new]
         now = ConstantVelocity(*(column[is_new] for column in distance.columns))
         replay = LateralFilters(self._camera, self._mounting)
         for seen in self._unconfirmed:
             _, boxes, rows = np.intersect1d(seen.tracks.track_id, new_ids, return_indices=True)
+            if not len(rows):
+                continue
             replay.update(
                 seen.tracks.select(boxes),
                 now.x[rows] + (seen.time_s - time_s) * now.v[rows],

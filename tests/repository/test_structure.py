@@ -78,13 +78,13 @@ MOST_STATEMENTS = {
     # lines that are no lane (5)
     # speeds that are lost for seconds (5)
     # plain curves within the fitted distances (8)
-    # boxes from before a confirmation as evidence of the lateral speed (28)
+    # boxes from before a confirmation as evidence of the lateral speed (33)
     # changes of a believed size are no motion (41); probabilities of the states of motion (31)
     # a sequential test in place of waiting times, and vehicles that cross and give way (51)
     # figures of each drive of labelled boxes (13)
     # accelerations that last as a state of the filters, of which far sigmas and braking leads had
     # need (69)
-    "ranging": 7_258,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 7_263,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     "api": 106,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
