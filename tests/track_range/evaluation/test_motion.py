@@ -16,7 +16,8 @@ from track_range.evaluation.motion.scores import motion_figures, speed_figures, 
 from track_range.evaluation.motion.states import true_states
 from track_range.evaluation.motion.tusimple import tusimple_motion, velocity_score
 from track_range.foundation.errors import UsageError
-from track_range.ranging.truth.frame_times import ASSUMED_STEP_S, KITTI_STEP_S
+from track_range.ranging.evaluation.box_methods import MethodOptions
+from track_range.ranging.truth.frame_times import ASSUMED_STEP_S, KITTI_STEP_S, TimeSource
 
 
 def unmeasured(n):
@@ -428,6 +429,27 @@ def test_closing_speeds_of_nuscenes(shared_data):
     # also of the cameras to the sides and to the rear
     assert figures["speed"]["bands"]["10-40"]["n"] == near["n"]
     assert 0.1 < figures["speed"]["bands"]["10-40"]["median_mps"] < 0.23
+
+
+@pytest.mark.real
+@pytest.mark.slow
+def test_states_and_closing_speeds_of_argoverse(shared_data):
+    """Three logs of another continent and camera, on which nothing was chosen, with 2 px noise."""
+    folder = shared_data / "av2"
+    truth = kitti_motion(
+        *(folder / name for name in ("label_shape", "calib", "poses")),
+        noise_px=2.0,
+        times=TimeSource(None, 10.0),
+    )
+    options = MethodOptions(box_sigma_px=2.0, region="north-america")
+    figures = motion_figures(truth, measured_motion(truth, "mono", options))
+    near = figures["bands"]["10-40"]
+    assert 0.2 < near["median_mps"] < 0.36  # 0.45 without `BelievedSizes`
+    assert 0.91 < near["within_2_sigma"] < 0.97
+    by_state = figures["states"]["vehicles"]["by_true_state"]
+    assert by_state["parked"]["coverage"] > 0.55
+    assert by_state["parked"]["parked"] > 0.97
+    assert by_state["moving"]["oncoming"] < 0.005
 
 
 @pytest.mark.real
