@@ -168,10 +168,10 @@ def _slopes(image: Image, stride_px: int) -> FloatArray32:
     height = (grey.shape[0] - 1) // stride_px
     width = (grey.shape[1] - 1) // stride_px
     rows, columns = height * stride_px, width * stride_px
-    here = grey[:rows:stride_px, :columns:stride_px]
+    sampled = grey[:rows:stride_px, :columns:stride_px]
     slopes = np.empty((2, height, width), np.float32)
-    np.subtract(grey[:rows:stride_px, 1 : columns + 1 : stride_px], here, slopes[0], dtype="f4")
-    np.subtract(grey[1 : rows + 1 : stride_px, :columns:stride_px], here, slopes[1], dtype="f4")
+    np.subtract(grey[:rows:stride_px, 1 : columns + 1 : stride_px], sampled, slopes[0], dtype="f4")
+    np.subtract(grey[1 : rows + 1 : stride_px, :columns:stride_px], sampled, slopes[1], dtype="f4")
     return slopes
 
 

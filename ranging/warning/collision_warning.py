@@ -107,8 +107,9 @@ _REACH_SIGMA = 3.0  # standard deviations of the gap beyond which an object is o
 
 # The following values were chosen with those of `WarningSettings`, on the same drives.
 _MIN_OFF_S = 0.5  # shortest time below `off_probability` before the end of an alarm
-# largest standard deviation of the closing speed, and fraction of it; above both, nothing is predicted
-_MAX_CLOSING_SIGMA_MPS, _MAX_CLOSING_FRACTION = 2.0, 0.35
+# largest standard deviation of the closing speed, as a fraction of it within these limits; above,
+# nothing is predicted
+_MAX_CLOSING_FRACTION, _MAX_CLOSING_SIGMA_MPS = 0.35, (2.0, 5.0)
 # headway below which a vehicle that cuts in starts an alarm, even if it is not slower
 _CUT_IN_HEADWAY_S = 0.6
 # smallest gap of a cut-in; nearer boxes beside the ego vehicle are cut by the image border
@@ -526,7 +527,7 @@ class CollisionWarning:
 def _is_plausible(objects: _Objects) -> BoolArray:
     """(N,) whether the motion is one that road users have, and known well enough."""
     own, gap = objects.own, objects.gap
-    most_mps = np.maximum(_MAX_CLOSING_SIGMA_MPS, _MAX_CLOSING_FRACTION * np.abs(gap.v))
+    most_mps = np.clip(_MAX_CLOSING_FRACTION * np.abs(gap.v), *_MAX_CLOSING_SIGMA_MPS)
     most_lateral_mps = np.where(objects.is_person, _MAX_RUNNING_MPS, _MAX_LATERAL_MPS)
     is_certain = gap.P_vv <= most_mps**2
     is_along = (np.abs(own.x) < _MAX_SPEED_MPS) & (np.abs(own.v) < _MAX_ACCELERATION_MPS2)

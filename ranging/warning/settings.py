@@ -43,7 +43,7 @@ class WarningSettings:
     off_probability: float = 0.1
     min_on_s: float = 0.0
     uncertain_on_s: float = 0.0
-    min_closing_mps: float = 1.0
+    min_closing_mps: float = 2.0
     front_m: float = 1.5
     ego_width_m: float = 1.8
     ego_length_m: float = 4.2
