@@ -116,8 +116,8 @@ MOST_STATEMENTS = {
     # contradictions name their options (9); one registry with priorities and notes (65)
     # one registry with priorities and notes (5); functions of packages guarded in one place (50);
     # the flow of long tracks, below the two estimators that follow corners (35)
-    # the interval of a rate (6)
-    "foundation": 1_605,
+    # the interval of a rate (6); probabilities of options are at most 1 (4)
+    "foundation": 1_609,
     # each stage has a frozen output, and `FrameResult` consists of them (165); the detection and the
     # scale report (9)
     # the way of a repeated image (45); the scale of a pair, corrected in one place (7); the
@@ -149,8 +149,8 @@ MOST_STATEMENTS = {
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)
     # the shape of an estimate of a camera (20)
-    # sentences of events with sigmas, predictions as such, and what is not known (35)
-    "results": 2_680,
+    # sentences of events with sigmas, predictions as such, and what is not known (36)
+    "results": 2_681,
     # imports of one file for each idea of the settings (45); the parts of a run report, each in a class
     # of its own with what it imports (205); the options of its recording (15); notes on packages
     # at the end (5)

@@ -140,18 +140,18 @@ def _against_occurrences(
     for n, fact in (
         (
             n_open,
-            f"rows are not wholly between {part_s[0]:.1f} and {part_s[1]:.1f} s: not evaluated",
+            f"Rows not wholly between {part_s[0]:.1f} and {part_s[1]:.1f} s, not evaluated",
         ),
         (
             scores["overall"]["ambiguous"],
-            "warnings fit several rows, which have no boxes: the best outcome counts (fits_rows)",
+            "Warnings that fit several rows, which have no boxes, so that the best outcome counts",
         ),
         (
             scores["overall"]["repeated"],
-            "warnings on rows with an earlier one do not count, and may be on another object",
+            "Warnings on a row with an earlier one, which do not count, maybe on another object",
         ),
     ):
-        drive.notes += [f"{n} of the {fact}."] if n else []
+        drive.notes += [f"{fact}: {n}."] if n else []
     return {**scores, "protocol": BY_OCCURRENCES}
 
 

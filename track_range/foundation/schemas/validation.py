@@ -1,7 +1,7 @@
 """Validation of structured files and options with pydantic: the first error as one sentence."""
 
 import difflib
-import math
+import sys
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import fields
@@ -47,8 +47,8 @@ _Settings = TypeVar("_Settings")
 
 
 def chosen_numbers(settings: type[_Settings], chosen: Mapping[str, Any]) -> _Settings:
-    """Settings of a dataclass with `chosen` numbers >= 0 by name; raises ValueError for another
-    name or value.
+    """Settings of a dataclass with `chosen` numbers >= 0 by name, probabilities <= 1; raises
+    ValueError for another name or value.
     """
     known = [field.name for field in fields(settings)]  # type: ignore[arg-type]  # every dataclass has fields
     for name, value in chosen.items():
@@ -57,12 +57,12 @@ def chosen_numbers(settings: type[_Settings], chosen: Mapping[str, Any]) -> _Set
             raise ValueError(
                 f"unknown setting {quoted(name)}" + (f"; did you mean {near[0]}?" if near else "")
             )
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, int | float)
-            or not (math.isfinite(value) and value >= 0)
-        ):
-            raise ValueError(f"{name}: expected a number of at least 0, found {quoted(value)}")
+        is_probability = name.endswith("_probability")
+        most = 1.0 if is_probability else sys.float_info.max
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not (is_number and 0 <= value <= most):
+            expected = "a probability from 0 to 1" if is_probability else "a number of at least 0"
+            raise ValueError(f"{name}: expected {expected}, found {quoted(value)}")
     return settings(**chosen)
 
 

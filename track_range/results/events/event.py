@@ -127,6 +127,11 @@ class EventSettings:
     near_miss_gap_m: float = 0.5
 
 
+def probability_words(probability: float) -> str:
+    """A probability of contact in per cent; over 99 % without a figure, since none is certain."""
+    return "over 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
+
+
 def severity_key(event: Event) -> tuple[bool, float, float, float, float]:
     """Sort key of events, the most severe first.
 

@@ -28,7 +28,13 @@ from track_range.ranging.warning.safety import (
     apart_m,
     post_encroachment_s,
 )
-from track_range.results.events.event import WARNING_KINDS, Event, EventKind, EventSettings
+from track_range.results.events.event import (
+    WARNING_KINDS,
+    Event,
+    EventKind,
+    EventSettings,
+    probability_words,
+)
 
 # largest difference of two tracks of one object: m, plus a fraction
 _NEAR_M, _NEAR_FRACTION = 2.0, 0.15
@@ -517,11 +523,10 @@ def _closing(values: dict[str, float]) -> str:
 
 
 def _predicted(values: dict[str, float]) -> str:
-    probability_pct = 100 * values["probability"]
-    if math.isnan(probability_pct):
+    probability = values["probability"]
+    if math.isnan(probability):
         return ""
-    figure = "over 99" if probability_pct > 99 else f"{probability_pct:.0f}"  # none is certain
-    return f" (predicted probability {figure} %)"
+    return f" (predicted probability {probability_words(probability)})"
 
 
 def events_of(

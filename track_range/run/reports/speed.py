@@ -54,6 +54,6 @@ class SpeedCoverage(Reports):
     def _measured(self, source: str) -> str:
         n_frames, n_known = len(self.rows), int(np.isfinite(self.rows.ego_mps).sum())
         if n_known == 0:
-            return f"The ego speed is unknown: {source} does not show it in any frame."
+            return f"The ego speed is unknown: no frame shows it by {source}."
         part = f", but only in {n_known} of {n_frames} frames" if 2 * n_known < n_frames else ""
         return f"The ego speed comes from {source}{part}; --ego-speed off ignores it."

@@ -16,7 +16,7 @@ from urllib.parse import quote
 import numpy as np
 
 from track_range.foundation.files.input_files import counted
-from track_range.results.events.event import Event
+from track_range.results.events.event import Event, probability_words
 from track_range.results.rows.rows import Rows
 from track_range.stereo.geometry.alignment import MAX_ROW_OFFSET_PX
 from track_range.views import tables
@@ -150,7 +150,7 @@ def _collision_headline(rows: Rows, users: Sequence[Mapping[str, Any]]) -> dict[
         return _headline(limit, "probability of contact of every road user where it was known")
     time_s, name = float(rows["time_s"][row]), f"{rows['class'][row]} {rows['track_id'][row]}"
     words = f"largest probability of contact: {name} at {time_words(time_s)}"
-    return _headline(f"{100 * probability[row]:.0f} %", words, time_s)
+    return _headline(probability_words(float(probability[row])), words, time_s)
 
 
 def run_line(summary: Mapping[str, Any], n: int, duration_s: float) -> str:

@@ -13,8 +13,10 @@ from track_range.foundation.schemas.validation import (
     Number,
     PositiveNumber,
     Version1,
+    chosen_numbers,
     validated,
 )
+from track_range.ranging.warning.settings import WarningSettings
 
 
 class Inner(BaseModel):
@@ -78,3 +80,26 @@ def test_valid_content() -> None:
     content = validated(Content, {"left": {"fx_px": "1e3"}, "row": [1, 2.5]}, "a.yaml", UserError)
     assert content.left.fx_px == 1000.0
     assert content.row == [1.0, 2.5]
+
+
+@pytest.mark.parametrize(
+    ("chosen", "expected"),
+    [
+        ({"on_probability": 55}, "on_probability: expected a probability from 0 to 1, found 55"),
+        ({"off_probability": -0.1}, "off_probability: expected a probability from 0 to 1"),
+        ({"on_probability": True}, "on_probability: expected a probability from 0 to 1"),
+        ({"horizon_s": -1}, "horizon_s: expected a number of at least 0, found -1"),
+        ({"horizon_s": float("nan")}, "horizon_s: expected a number of at least 0, found nan"),
+        ({"horizon_s": 10**400}, "horizon_s: expected a number of at least 0"),
+        ({"front_m": "2"}, "front_m: expected a number of at least 0, found '2'"),
+        ({"on_probabilty": 0.3}, "did you mean on_probability"),
+    ],
+)
+def test_chosen_numbers_that_are_none(chosen: dict[str, Any], expected: str) -> None:
+    with pytest.raises(ValueError, match=expected):
+        chosen_numbers(WarningSettings, chosen)
+
+
+def test_chosen_numbers() -> None:
+    chosen = chosen_numbers(WarningSettings, {"on_probability": 1, "horizon_s": 60})
+    assert (chosen.on_probability, chosen.horizon_s) == (1, 60)

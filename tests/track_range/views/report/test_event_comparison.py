@@ -164,6 +164,8 @@ def test_event_in_words() -> None:
         == "4.0 ± 0.2 m · time to contact 1.2 s · closing 3.0 m/s · headway 0.8 s · ego 36 km/h · "
         "predicted contact 50 %"
     )
+    certain = event_details(event(min_distance_m=math.nan, probability=0.9998))
+    assert certain == "predicted contact over 99 %"
     assert event_details(event(min_distance_m=math.nan)) == ""
     assert kind_counts([event(), event(), event(kind="cut_in")]) == [
         "1 \N{MULTIPLICATION SIGN} cut-in",

@@ -6,7 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from track_range.results.events.event import EVENT_KINDS, Event, clip_name, severity_key
+from track_range.results.events.event import (
+    EVENT_KINDS,
+    Event,
+    clip_name,
+    probability_words,
+    severity_key,
+)
 
 KIND_WORDS: Mapping[str, str] = {
     "forward_collision": "forward collision warning",
@@ -61,7 +67,10 @@ def measurements(event: Event) -> list[str]:
             (event.peak_closing_mps, f"closing {event.peak_closing_mps:.1f} m/s"),
             (event.peak_headway_s, f"headway {event.peak_headway_s:.1f} s"),
             (event.ego_mps, f"ego {3.6 * event.ego_mps:.0f} km/h"),
-            (event.peak_probability, f"predicted contact {100 * event.peak_probability:.0f} %"),
+            (
+                event.peak_probability,
+                f"predicted contact {probability_words(event.peak_probability)}",
+            ),
             (event.gap_m, f"smallest gap from the front bumper {gap_m}"),
             (event.drac_mps2, f"required deceleration up to {event.drac_mps2:.1f} m/s²"),
             (event.pet_s, f"post-encroachment time {event.pet_s:.1f} s"),
@@ -73,7 +82,7 @@ def measurements(event: Event) -> list[str]:
         (event.closing_mps, f"closing {event.closing_mps:.1f} m/s"),
         (event.headway_s, f"headway {event.headway_s:.1f} s"),
         (event.ego_mps, f"ego {3.6 * event.ego_mps:.0f} km/h"),
-        (event.probability, f"predicted contact {100 * event.probability:.0f} %"),
+        (event.probability, f"predicted contact {probability_words(event.probability)}"),
     )
     return [text for value, text in texts if math.isfinite(value)]
 
