@@ -1,15 +1,15 @@
 """FixedParts: what stays in its place in the image while the scene moves, and the boxes on it.
 
-Burnt-in text and logos, stickers, things on the dashboard and the outline of the bonnet do not move
-by a pixel. All of the scene does while the car drives, also a vehicle that is followed at a constant
-distance, since the camera pitches and yaws. So the slopes g = (g_x, g_y), differences of neighbouring
-pixels, are compared in N images that show the scene in other places. The part of their energy that
-is always the same,
+Burnt-in text and logos, stickers, things on the dashboard and the outline of the bonnet do not
+move by a pixel. All of the scene does while the car drives, also a vehicle that is followed at a
+constant distance, since the camera pitches and yaws. So the slopes g = (g_x, g_y), differences of
+neighbouring pixels, are compared in N images that show the scene in other places. The part of their
+energy that is always the same,
 
     c = (N |mean g|^2 - mean |g|^2) / ((N - 1) mean |g|^2),
 
-is 1 for what never changes and 0 in the mean for independent images (as in the search for watermarks
-of Dekel et al., 2017). An image is compared when most of the textured image has changed since the
+is 1 for what never changes and 0 in the mean for independent images (as in the search for
+watermarks of Dekel et al., 2017). An image is compared when most of the textured image has changed since the
 one before: while the camera stands, parked cars are as still as text, and nothing is learnt.
 
 A box is no road user if most of the texture that it shows now is fixed. Texture is counted in small
@@ -26,8 +26,8 @@ from track_range.detection.detections import Detections
 from track_range.foundation.arrays import BoolArray, FloatArray32, Image, IntArray
 from track_range.foundation.files.input_files import counted
 
-# longer side of the grid of compared pixels; their neighbours are those of the whole image, in which
-# the smallest shift shows
+# longer side of the grid of compared pixels; their neighbours are those of the whole image, in
+# which the smallest shift shows
 _GRID_PX = 420
 # shortest time between compared images until something may be fixed, and later: slowly, so that a
 # vehicle ahead would have to stay in place for a minute
@@ -39,14 +39,15 @@ _TEXTURE, _LEAST_MOVING = 100.0, 30.0
 # slopes in two images, above the noise
 _COARSE, _LEAST_COARSE = 2, 150.0
 # square tiles along the shorter side of an image; textured ones below which it is too dark to say
-# what moves; the change of a tile, relative to independent images, and the fraction that has changed
+# what moves; the change of a tile, relative to independent images, and the fraction that has
+# changed
 _N_TILES, _MIN_TILES, _MIN_CHANGE, _CHANGED = 8, 8, 0.5, 0.5
 # of a fixed pixel: half of the pixels of text have more, hardly any of a vehicle that is followed
 _MIN_IMAGES, _MIN_COHERENCE = 6, 0.85
 _UNCHANGED = 0.5  # largest change of a fixed slope, relative to its square
 _BLOCK = 3  # side of the blocks that are counted in boxes, grid pixels
-# least fraction of fixed pixels in a box, and of fixed blocks in its textured ones: a car behind text
-# has up to 0.05 and 0.4, text and things on the dashboard at least 0.08 and 0.8
+# least fraction of fixed pixels in a box, and of fixed blocks in its textured ones: a car behind
+# text has up to 0.05 and 0.4, text and things on the dashboard at least 0.08 and 0.8
 _LEAST_FIXED, _MOST_TEXTURE = 0.05, 0.6
 
 
@@ -69,7 +70,8 @@ class FixedParts:
     n_left_out: int = 0  # number of boxes that were left out
     _last_s: float = -np.inf
     _image_hw: tuple[int, ...] = (0, 0)
-    _last: FloatArray32 | None = None  # coarse slopes of the last compared image
+    # coarse slopes of the last compared image; mean and mean square of the slopes of all
+    _last: FloatArray32 = field(default_factory=lambda: np.zeros((2, 0, 0), np.float32))
     _mean: FloatArray32 = field(default_factory=lambda: np.zeros((2, 0, 0), np.float32))
     _square: FloatArray32 = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     # (h + 1, w + 1) number of fixed pixels up to a pixel
@@ -86,14 +88,17 @@ class FixedParts:
         )
 
     def add(self, image: Image, time_s: float) -> None:
-        """Compare the next image (H, W) or (H, W, 3) BGR, if its time has come."""
+        """Compare the next image (H, W) or (H, W, 3) BGR, if its time has come; one of another size
+        is the first one of another camera.
+        """
+        is_first = self._image_hw != image.shape[:2]
         step_s = _FIRST_STEP_S if self.n_images < _MIN_IMAGES else _STEP_S
-        if 0 <= time_s - self._last_s < step_s:
+        if not is_first and 0 <= time_s - self._last_s < step_s:
             return
         self._last_s = time_s
         stride_px = _stride_px(image)
         coarse = _coarse_slopes(image, stride_px)
-        if self._last is None or self._image_hw != image.shape[:2]:
+        if is_first:
             self.n_images, self.pixels = 0, NOTHING_FIXED
             self._last, self._image_hw = coarse, image.shape[:2]
         elif _has_moved(self._last, coarse):
@@ -115,8 +120,8 @@ class FixedParts:
         self._n_fixed = cv2.integral(is_fixed.view(np.uint8)).astype(np.int64)
 
     def moving(self, detections: Detections, image: Image) -> Detections:
-        """The detections in the image without those on fixed parts."""
-        if self.pixels is NOTHING_FIXED or _stride_px(image) != self.pixels.stride_px:
+        """The detections in the image of the last `add` without those on fixed parts."""
+        if self.pixels is NOTHING_FIXED:
             return detections
         size = 2 * self.pixels.is_fixed.shape[::-1]
         edges = np.clip(detections.xyxy_px / self.pixels.stride_px, 0, size)
@@ -125,15 +130,12 @@ class FixedParts:
         n_fixed = n[y2, x2] - n[y1, x2] - n[y2, x1] + n[y1, x1]
         is_large = (x2 - x1 >= _BLOCK) & (y2 - y1 >= _BLOCK)
         is_possible = is_large & (n_fixed >= _LEAST_FIXED * (x2 - x1) * (y2 - y1))
-        fixed = list[int]()
+        is_moving = np.ones(len(detections), np.bool_)
         for row in np.flatnonzero(is_possible).tolist():  # few: most boxes show no fixed pixel
             window = slice(y1[row], y2[row]), slice(x1[row], x2[row])
-            if self._is_fixed_in(image, window):
-                fixed.append(row)
-        self.n_left_out += len(fixed)
-        return (
-            detections.select(np.delete(np.arange(len(detections)), fixed)) if fixed else detections
-        )
+            is_moving[row] = not self._is_fixed_in(image, window)
+        self.n_left_out += int(np.count_nonzero(~is_moving))
+        return detections.select(is_moving)
 
     def _is_fixed_in(self, image: Image, window: tuple[slice, slice]) -> bool:
         """Whether most of the texture in a window of the grid, which has a block, is fixed."""
@@ -201,7 +203,7 @@ def _has_moved(before: FloatArray32, now: FloatArray32) -> bool:
 
 
 def _means(values: FloatArray32, side_px: int) -> FloatArray32:
-    """Means of values (H, W) in squares; a last row or column that has no whole ones is left out."""
+    """Means of values (H, W) in squares; the rest at the right and the bottom is left out."""
     n_rows, n_columns = values.shape[0] // side_px, values.shape[1] // side_px
     whole = values[: n_rows * side_px, : n_columns * side_px]
     size = n_columns, n_rows

@@ -5,7 +5,7 @@
                          low-confidence detections - confirmed tracks    IoU
                          high-confidence detections - tentative tracks   IoU of widened boxes; at low frame rates
                                                                          distance and size before
-                         people - bicycles and motorcycles               IoU: one rider with another name
+                         people - two-wheelers                           IoU: one rider, renamed
     3. update matched    tracks get their detections; tentative ones are confirmed
     4. initiate          unmatched high-confidence detections become tentative tracks
     5. output            confirmed tracks, with detected (or smoothed) boxes, or predicted ones for a short time

@@ -183,7 +183,7 @@ def _sigma_of_none(
 
 
 def _others(known: KnownBoxes, matches: PatchMatches, size_px: FloatArray) -> OtherBoxes:
-    """All boxes with their measured disparities so far, else those of their tracks, else by size."""
+    """All boxes with their disparities as measured so far, else of their tracks, else by size."""
     expected_px = np.where(np.isfinite(known.track_px), known.track_px, size_px)
     is_measured = np.isfinite(matches.disparity_px)
     return OtherBoxes(known.xyxy_px, np.where(is_measured, matches.disparity_px, expected_px))

@@ -5,8 +5,8 @@
 
 Q is the probability that none of the surfaces is the object: a box may show too little of an object
 behind a post, a fence or a nearer vehicle, and only its occluder matches. It depends on the best
-surface: whether it has the disparity of another box of the frame and is too near for the size of its
-own, is small, or matches badly.
+surface: whether it has the disparity of another box of the frame and is too near for the size of
+its own, is small, or matches badly.
 
 The features phi are where a surface lies in the box, how well it matches, whether other surfaces
 are in front of or behind it, and how its disparity agrees with what is known about the object: its
@@ -80,8 +80,8 @@ ETA = {
     "cost": 0.24,
     "area": -1.06,
 }
-"""eta: logistic regression of "none of the surfaces is within 10 % of the object" on the features of
-the best surface, on the same drives with all objects that are hidden by less than 85 %
+"""eta: logistic regression of "none of the surfaces is within 10 % of the object" on the features
+of the best surface, on the same drives with all objects that are hidden by less than 85 %
 (`python -m benchmarks surface_choice`). Deviations from the size count from
 3 standard deviations on, and smaller ones only in the box of another object: a child is nearer than
 the size of people lets expect."""
@@ -92,7 +92,7 @@ class SurfaceChoice:
     """The object's surface in each of N boxes."""
 
     chosen: IntArray  # (N,) number of the surface
-    # (S, N) probability of each surface; they sum to 1 - `none`, or are 0 for boxes without a surface
+    # (S, N) probability of each surface; they sum to 1 - `none`, or are 0 in boxes without any
     probability: FloatArray
     none: FloatArray  # (N,) probability that none of the surfaces is the object
     n_surfaces: IntArray  # (N,) number of surfaces with at least two windows
@@ -232,7 +232,7 @@ def choose_surface(phi: dict[str, FloatArray], surfaces: Surfaces) -> SurfaceCho
 
 
 def none_features(best: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """The features of Q by name, (N,) each, from the features phi of the best surfaces, (N,) each."""
+    """The features of Q by name, (N,) each, from those of the best surfaces, phi, (N,) each."""
     of_other_box = best["of_other_box"]
     return {
         "constant": np.ones_like(of_other_box),

@@ -69,7 +69,7 @@ class SpeedFilter:
                 np.array([middle_s - self._middle_s]), q=_JERK_NOISE**2
             )
         self._middle_s = middle_s
-        if math.isfinite(speed_mps) and self._is_used(middle_s, speed_mps, sigma_mps):
+        if math.isfinite(speed_mps) and self._add(middle_s, speed_mps, sigma_mps):
             self._systematic_mps = systematic_mps
         if self._state is None or (
             self._n_measured < 2 and abs(self._state.x[0] * dt_s) > _LARGE_STEP_M
@@ -103,8 +103,8 @@ class SpeedFilter:
         """Whether images of a camera at rest agree with a speed of `update`; False if unknown."""
         return shows_rest and abs(speed[0]) <= _REST_MPS + 2 * speed[1]
 
-    def _is_used(self, middle_s: float, speed_mps: float, sigma_mps: float) -> bool:
-        """Add a measurement, unless it is an outlier."""
+    def _add(self, middle_s: float, speed_mps: float, sigma_mps: float) -> bool:
+        """Use a measurement unless it is an outlier; whether it was used."""
         is_in_reach = self.reaches(middle_s, speed_mps, sigma_mps)
         if self._state is None:
             if is_in_reach:
@@ -116,8 +116,8 @@ class SpeedFilter:
         own = (1 - _SPREAD_GAIN) * self._spread2
         self._spread2 = max(1.0, own + _SPREAD_GAIN * min(excess, largest))
         wide_mps = sigma_mps * math.sqrt(self._spread2)
-        limit_mps = _OUTLIER_SIGMA * np.sqrt(self._state.P_xx + wide_mps**2)
-        if is_in_reach and np.abs(innovation)[0] <= limit_mps[0]:
+        limit_mps = _OUTLIER_SIGMA * math.sqrt(self._state.P_xx[0] + wide_mps**2)
+        if is_in_reach and abs(innovation[0]) <= limit_mps:
             state = self._state.update(innovation, np.array([wide_mps**2]))
             self._go_on(state, middle_s, self._n_measured + 1)
             return True

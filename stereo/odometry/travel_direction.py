@@ -3,8 +3,8 @@
 A vehicle on a straight road drives along its axis, in which the camera looks, too. If the images
 expand from a column beside the principal point, the camera is turned, or the principal point is
 wrong; straight roads cannot tell which. With a mounting, the same holds for the direction of travel
-that it states. A direction that changes is not that of a mounting: the car swerves, or the recording
-is cut to another camera.
+that it states. A direction that changes is not that of a mounting: the car swerves, or the
+recording is cut to another camera.
 """
 
 import math

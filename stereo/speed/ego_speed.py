@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -60,12 +59,16 @@ class EgoSpeed:
         is_lost = (fastest_mps < _REST_MPS)[part] & (part[-1] > 0)
         if not is_lost.any():
             return self, np.zeros(0)
-        kept: dict[str, Any] = {
-            name: None if column is None else column[~is_lost]
-            for name in ("time_s", "speed_mps", "positions_deg", "over_ground_mps")
-            for column in (getattr(self, name),)
-        }
-        return replace(self, **kept), self.time_s[is_lost]
+        kept = replace(
+            self,
+            time_s=self.time_s[~is_lost],
+            speed_mps=self.speed_mps[~is_lost],
+            positions_deg=None if self.positions_deg is None else self.positions_deg[~is_lost],
+            over_ground_mps=(
+                None if self.over_ground_mps is None else self.over_ground_mps[~is_lost]
+            ),
+        )
+        return kept, self.time_s[is_lost]
 
     def at(self, time_s: float) -> float:
         """Speed at `time_s` in m/s, NaN = unknown."""

@@ -52,8 +52,6 @@ MOST_STATEMENTS = {
     # a mounting that motion contradicts (6)
     # values of a mounting that are no numbers (3)
     # the probability that a box shows nothing of its object, and occluders measured first (39)
-    # a speed that no car reaches, a scene whose depth changes at once, and rest by near points (50)
-    # a speed that no car reaches, a scene whose depth changes at once, and rest by near points (52)
     # a speed that no car reaches, a scene whose depth changes at once, and rest by near points (55)
     # a given speed that falls to zero where a receiver has no satellites (13), and a direction of
     # travel that changes (4), and a scene that recedes (1)
@@ -107,10 +105,10 @@ MOST_STATEMENTS = {
     "cli": 2_475,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
-    # the scored part (145), several drives together, and intervals of rates (49)
+    # the scored part (143), several drives together, and intervals of rates (49)
     # states of motion by true state and by probability (48)
-    # errors and sigmas of motion by cell and by drive (71)
-    "evaluation": 1_859,  # times and region of labelled motion, and every class of nuScenes (10)
+    # errors and sigmas of motion by cell and by drive (66)
+    "evaluation": 1_852,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     "fleet": 3_236,  # what a lost worker counts as is a function that tests call (5)
     # contradictions name their options (9); one registry with priorities and notes (65)
@@ -131,10 +129,10 @@ MOST_STATEMENTS = {
     # the motion of the vehicle as that of a camera (14), also by the road (9), and visible sides aside (8)
     # the boxes of unconfirmed tracks (5)
     # heights of boxes for the believed sizes (9), and the probability of a state (1)
-    # boxes on what never moves left out (8)
+    # boxes on what never moves left out (6)
     # a speed that is not measured for a moment is predicted (7)
     # heights of whole boxes (3)
-    "pipeline": 940,
+    "pipeline": 938,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120),

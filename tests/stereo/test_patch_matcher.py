@@ -296,8 +296,8 @@ def test_wrong_sizes_do_not_hide_a_single_surface() -> None:
 
 @pytest.mark.parametrize("with_priors", [True, False])
 def test_a_car_that_a_nearer_one_covers_is_refused(with_priors: bool) -> None:
-    """The far box, at 20 px by its size, shows nothing but a surface at 42 px: it is uncertain whether
-    it is of a wrong class, unless there is the box of a nearer car at 42 px."""
+    """The far box, at 20 px by its size, shows nothing but a surface at 42 px: it is uncertain
+    whether it is of a wrong class, unless there is the box of a nearer car at 42 px."""
     images, boxes = pair(42.0), np.array([BOX, (180.0, 30.0, 330.0, 130.0)])
     by_size = ExpectedDisparity(np.array([20.0, 40.0]), np.full(2, 0.12))
     priors_px = np.array([NONE, 42.0 if with_priors else NONE])

@@ -70,8 +70,8 @@ def test_rest_and_unknown_motion_show_no_speed():
 
 
 def test_scene_that_changes_at_once_is_no_change_of_the_speed():
-    """Behind the last lamps of a junction, only clouds have corners: 15 m/s at a depth of 20 m, then
-    at 500 m, which the old depth would take for 0.6 m/s."""
+    """Behind the last lamps of a junction, only clouds have corners: 15 m/s at a depth of 20 m,
+    then at 500 m, which the old depth would take for 0.6 m/s."""
     depth, before = SceneDepth(), driven(15.0)
     for _ in range(5):
         depth.checked(motion(0.75), (15.0, 0.1, 0.3), before)

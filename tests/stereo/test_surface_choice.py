@@ -199,7 +199,7 @@ def test_a_single_surface_is_that_of_a_nearer_box() -> None:
 
 
 def test_boxes_behind_others_by_hand() -> None:
-    """A car, one that it covers, one that it covers by 1 %, and one apart; a lower box is nearer."""
+    """A car, one that it covers, one covered by 1 %, and one apart; a lower box is nearer."""
     boxes = np.array(
         [(100, 100, 200, 180), (150, 100, 230, 160), (199, 100, 279, 160), (400, 100, 500, 190)]
     )

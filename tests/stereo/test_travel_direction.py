@@ -50,7 +50,7 @@ def test_the_direction_is_the_mean_over_time():
 
 
 def test_a_cut_to_another_camera_is_no_direction():
-    """5 s ahead, then 2.5 s of a rear camera that looks 22 degrees aside: 7.5 degrees in the mean."""
+    """5 s ahead, then 2.5 s of a rear camera that looks 22 degrees aside: 7.5 in the mean."""
     direction = TravelDirection(CAMERA)
     for k in range(75):
         direction.add(0.1, 0.005 if k < 50 else 0.38, 0.0)

@@ -323,7 +323,7 @@ def test_a_rider_is_one_object_by_either_name() -> None:
 
 
 def test_a_person_beside_a_bicycle_is_another_object() -> None:
-    """Each box continues its own name; a bicycle that overlaps by 0.4 does not continue a person."""
+    """Each box continues its own name; a bicycle with an IoU of 0.4 does not continue a person."""
     pair = both(car_at(100, class_id=PERSON), car_at(108, class_id=BICYCLE))
     swapped = both(car_at(108, class_id=PERSON), car_at(100, class_id=BICYCLE))
     out = drive(DeepSortTracker(NO_PREDICTION), [pair, pair, swapped, swapped])

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from track_range.detection.detections import Detections
-from track_range.detection.fixed_parts import NOTHING_FIXED, FixedParts, FixedPixels
+from track_range.detection.fixed_parts import FixedParts
 from track_range.detection.lanes.lines import LaneFinder, LaneLines
 from track_range.pipeline.clock import StageClock
 from track_range.stereo.geometry.frames import Frame
@@ -31,7 +31,6 @@ class Detected(NamedTuple):
     lanes: LaneLines | None
     detections: Detections
     candidates: Detections | None = None
-    fixed: FixedPixels = NOTHING_FIXED  # what does not move with the scene, such as burnt-in text
 
 
 @dataclass(slots=True, kw_only=True)
@@ -72,11 +71,10 @@ class DetectionStage:
         with clock.stage("detect"):
             detections = detect()
             candidates = None if self.candidates is None else self.candidates(frame)
-            if self.fixed_parts is None:
-                return Detected(frame, None, detections, candidates)
-            self.fixed_parts.add(frame.left, frame.time_s)
-            moving = self.fixed_parts.moving(detections, frame.left)
-        return Detected(frame, None, moving, candidates, self.fixed_parts.pixels)
+            if self.fixed_parts is not None:
+                self.fixed_parts.add(frame.left, frame.time_s)
+                detections = self.fixed_parts.moving(detections, frame.left)
+        return Detected(frame, None, detections, candidates)
 
     def with_lanes(self, detected: Detected, clock: StageClock) -> Detected:
         """The frame with the lines of the ego lane on the road between the boxes."""

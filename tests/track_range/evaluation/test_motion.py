@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.recordings.label_rows import F_PX, label_row as row
 from track_range.detection.formats.tables.errors import LabelFileError
-from track_range.evaluation.motion.cells import MotionQuantity, motion_cells, worst_drive
+from track_range.evaluation.motion.cells import motion_cells, quantity_figures, worst_drive
 from track_range.evaluation.motion.labelled_motion import kitti_motion, track_slopes
 from track_range.evaluation.motion.measured_motion import MeasuredMotion, measured_motion
 from track_range.evaluation.motion.nuscenes import nuscenes_motion
@@ -309,7 +309,7 @@ def test_a_given_sequence(shared_data, tmp_path):
     near, far = figures["bands"]["10-40"], figures["bands"]["40-80"]
     assert (near["n"], far["n"]) == (457, 270)
     # 0.39: the cars that move have a sigma above 1.5 m/s in their first seconds
-    assert 0.33 < near["coverage"] < 0.98
+    assert 0.33 < near["coverage"] < 0.5
     assert 0.1 < near["median_mps"] < 1.1
     assert 0.1 < figures["speed"]["bands"]["10-40"]["median_mps"] < 0.9
     assert 0.9 < figures["speed"]["bands"]["10-40"]["within_2_sigma"] <= 1.0
@@ -434,7 +434,7 @@ def test_closing_speeds_of_nuscenes(shared_data):
 @pytest.mark.real
 @pytest.mark.slow
 def test_states_and_closing_speeds_of_argoverse(shared_data):
-    """Three logs of another continent and camera, on which nothing was chosen, with 2 px noise."""
+    """Three logs of another continent and camera, no constant was chosen on them, 2 px noise."""
     folder = shared_data / "av2"
     truth = kitti_motion(
         *(folder / name for name in ("label_shape", "calib", "poses")),
@@ -468,13 +468,14 @@ def test_figures_of_a_quantity():
     """Errors of 0.5, 1.2, 3.0 and 0 s with a sigma of 1 s; one without an answer, one not known."""
     true = np.array([5.0, 5.0, 5.0, 5.0, 5.0, np.nan])
     value, sigma = np.array([5.5, 3.8, 8.0, 5.0, np.nan, 5.0]), np.ones(6)
-    figures = MotionQuantity(value, sigma, true).figures(np.ones(6, np.bool_))
+    values = np.stack([value, sigma, true])
+    figures = quantity_figures(values, np.ones(6, np.bool_))
     assert (figures["n"], figures["coverage"], figures["stated_sigma"]) == (5, 0.8, 1.0)
     assert figures["rms"] == pytest.approx(np.sqrt((0.25 + 1.44 + 9.0) / 4), abs=1e-3)
     assert figures["median_error"] == pytest.approx(0.85)
     fractions = [figures[f"within_{k}_sigma"] for k in (1, 2, 3)]
     assert fractions == [0.5, 0.75, 1.0]
-    empty = MotionQuantity(value, sigma, true).figures(np.zeros(6, np.bool_))
+    empty = quantity_figures(values, np.zeros(6, np.bool_))
     assert empty["n"] == 0
     assert empty["coverage"] is empty["rms"] is empty["within_2_sigma"] is None
 

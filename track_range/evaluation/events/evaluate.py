@@ -2,9 +2,8 @@
 labelled events.
 
 Hits, misses, false alarms, leads and the objects of warnings are defined in `scores` and, of what
-happens, in `occurrences`. Where the
-tracks of the run and labelled boxes with closing speeds are known, the errors of the closing speeds
-are added, by class.
+happens, in `occurrences`. Where the tracks of the run and labelled boxes with closing speeds are
+known, the errors of the closing speeds are added, by class.
 """
 
 import math
@@ -136,22 +135,17 @@ def _against_occurrences(
     warnings = [event for event in events if is_warning(event)]
     part_s = (drive.starts_s, drive.ends_s)
     scores = occurrence_scores(warnings, occurrences, part_s=part_s, hours=hours)
-    n_open = sum(row["outcome"] == "not_evaluated" for row in scores["occurrences"])
-    for n, fact in (
-        (
-            n_open,
-            f"Rows not wholly between {part_s[0]:.1f} and {part_s[1]:.1f} s, not evaluated",
+    outside = f"Rows not wholly between {part_s[0]:.1f} and {part_s[1]:.1f} s, not evaluated"
+    counts = {
+        outside: sum(row["outcome"] == "not_evaluated" for row in scores["occurrences"]),
+        "Warnings that fit several rows, which have no boxes, so that the best outcome counts": (
+            scores["overall"]["ambiguous"]
         ),
-        (
-            scores["overall"]["ambiguous"],
-            "Warnings that fit several rows, which have no boxes, so that the best outcome counts",
+        "Warnings on a row with an earlier one, which do not count, maybe on another object": (
+            scores["overall"]["repeated"]
         ),
-        (
-            scores["overall"]["repeated"],
-            "Warnings on a row with an earlier one, which do not count, maybe on another object",
-        ),
-    ):
-        drive.notes += [f"{fact}: {n}."] if n else []
+    }
+    drive.notes += [f"{fact}: {n}." for fact, n in counts.items() if n]
     return {**scores, "protocol": BY_OCCURRENCES}
 
 

@@ -43,8 +43,8 @@ from track_range.results.events.files import EventFileError
 OCCURRENCE_COLUMNS = ("class", "first_visible_s", "nearest_s", "warning")
 BY_OCCURRENCES = (
     "object of a warning: a row of the same class group (a person may also be the rider of a "
-    "two-wheeler) at the time of the warning; of several rows the one on which the warning is a hit, "
-    "else late, else tolerated, else false"
+    "two-wheeler) at the time of the warning; of several rows the one on which the warning is a "
+    "hit, else late, else tolerated, else false"
 )
 
 _MEANINGS = ("right", "tolerated", "false")
@@ -66,14 +66,12 @@ class Occurrence:
     warning: str  # "right", "tolerated" or "false"
 
     def standing(self, event: Event) -> str:
-        """What a warning is on this row: hit, late, tolerated or false_alarm; "" = it does not fit."""
+        """What a warning is on this row: hit, late, tolerated, false_alarm; "" = it does not fit."""
         is_rider = event.class_name == "person" and self.class_name in ("bicycle", "motorcycle")
         is_similar = is_rider or are_same_class(event.class_name, self.class_name)
-        if not (self.class_name and is_similar):
-            return ""
-        last_s = np.fmax(self.conflict_s, self.nearest_s)
-        is_before = event.warning_s < self.first_visible_s - self.tolerance_s
-        if is_before or event.warning_s > last_s + self.tolerance_s:
+        from_s = self.first_visible_s - self.tolerance_s
+        to_s = np.fmax(self.conflict_s, self.nearest_s) + self.tolerance_s
+        if not (self.class_name and is_similar and from_s <= event.warning_s <= to_s):
             return ""
         if self.warning == "right":
             return "hit" if event.warning_s <= self.conflict_s + self.tolerance_s else "late"
@@ -141,9 +139,8 @@ def _tolerance_s(table: CsvTable) -> FloatArray:
     times_s = np.array([table.numbers(f"{moment}_s") for moment in _MOMENTS])
     is_known = (frames > 0) & (times_s > 0)
     frame_s = float(np.median(times_s[is_known] / frames[is_known])) if is_known.any() else math.nan
-    tolerance = table.numbers("frame_tolerance")
     is_blank = np.array([not cell for cell in table.texts("frame_tolerance")], np.bool_)
-    tolerance = np.where(is_blank | (tolerance == 0), 0.0, tolerance)
+    tolerance = np.where(is_blank, 0.0, table.numbers("frame_tolerance"))
     is_valid = (tolerance == 0) | (tolerance * frame_s > 0)
     expected = "frames from 0, and frame numbers beside the seconds, which give their duration,"
     table.check("frame_tolerance", tolerance, is_valid, expected)

@@ -94,8 +94,8 @@ class EventEvaluationSettings(Options):
         n_runs, n_truths = len(self.events), len(self.truth)
         if n_truths != n_runs and self.truth != NOTHING_HAPPENS:
             raise contradiction(
-                f"expected a --truth for each --events, in the same order, or one --truth none, got "
-                f"{n_runs} of --events and {n_truths} of --truth",
+                "expected a --truth for each --events, in the same order, or one --truth none, "
+                f"got {n_runs} of --events and {n_truths} of --truth",
                 ["events", "truth"],
             )
         options = ("tracks", "boxes", "hours", "until_s")
@@ -103,8 +103,8 @@ class EventEvaluationSettings(Options):
         if n_runs > 1 and of_one_run:
             flag = self.flag(of_one_run[0])
             raise contradiction(
-                f"{flag} is of one run, got {n_runs} of --events; leave {flag} out, or evaluate the "
-                "runs one by one",
+                f"{flag} is of one run, got {n_runs} of --events; leave {flag} out, or evaluate "
+                "the runs one by one",
                 [of_one_run[0], "events"],
             )
         return self

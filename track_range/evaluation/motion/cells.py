@@ -5,7 +5,6 @@ the cells that matter and too large in the others; a pooled figure may hide a dr
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -32,51 +31,17 @@ _MAX_TTC_S = 20.0  # largest true time to collision that is compared
 _MIN_OF_DRIVE = 50  # smallest number of values of a drive that can be the worst one
 
 
-@dataclass(frozen=True, slots=True)
-class MotionQuantity:
-    """One measured quantity of N boxes, (N,) each, in m/s or s."""
-
-    value: FloatArray  # NaN = no answer
-    sigma: FloatArray
-    true: FloatArray  # NaN = not known, and not compared
-
-    def figures(self, rows: BoolArray) -> dict[str, float | None]:
-        """Errors and sigmas in the rows (N,); None without an answer.
-
-        `rms` and `stated_sigma` are root mean squares, so that they agree if sigma is true.
-        """
-        known = rows & np.isfinite(self.true)
-        answered = known & np.isfinite(self.value) & np.isfinite(self.sigma)
-        error, sigma = np.abs(self.value - self.true)[answered], self.sigma[answered]
-        names = ("rms", "median_error", "stated_sigma")
-        figures: dict[str, float | None] = dict.fromkeys(names)
-        if len(error):
-            squares = np.sqrt(np.mean([error**2, sigma**2], axis=1))
-            values = np.round([squares[0], np.median(error), squares[1]], 4)
-            figures = dict(zip(names, values.tolist(), strict=True))
-        fractions = {f"within_{k}_sigma": fraction(error <= k * sigma) for k in (1, 2, 3)}
-        return {
-            "n": int(known.sum()),
-            "coverage": fraction(answered[known]),
-            **figures,
-            **fractions,
-        }
-
-
 def cell_figures(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, Any]:
     """Figures of closing speed, speed over ground and time to collision by cell, and by drive with
     the worst drive of each, as JSON values.
     """
     names, sequence = truth.boxes.sequence_names, truth.boxes.sequence
     drives = {names[number]: sequence == number for number in np.unique(sequence).tolist()}
-    of_all = quantities(truth, measured)
-    by_cell, by_drive = (
-        {
-            name: {key: quantity.figures(rows) for key, rows in masks.items()}
-            for name, quantity in of_all.items()
-        }
-        for masks in (motion_cells(truth, measured), drives)
-    )
+    cells = motion_cells(truth, measured)
+    by_cell, by_drive = dict[str, Any](), dict[str, Any]()
+    for name, values in quantities(truth, measured).items():
+        by_cell[name] = {key: quantity_figures(values, rows) for key, rows in cells.items()}
+        by_drive[name] = {key: quantity_figures(values, rows) for key, rows in drives.items()}
     worst = {name: worst_drive(figures) for name, figures in by_drive.items()}
     return {"cells": by_cell, "drives": by_drive, "worst_drives": worst}
 
@@ -108,15 +73,41 @@ def motion_cells(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, B
     }
 
 
-def quantities(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, MotionQuantity]:
-    """The compared quantities by name; speeds with a sigma from 1.5 m/s are no answers."""
+def quantities(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, FloatArray]:
+    """Values, sigmas and true values (3, N) of the compared quantities in m/s or s, by name; speeds
+    with a sigma from 1.5 m/s are no answers, and unknown true values are not compared (NaN).
+    """
     sigmas_mps = np.stack([measured.closing_sigma_mps, measured.speed_sigma_mps])
     closing_sigma, speed_sigma = np.where(sigmas_mps < MAX_SIGMA_MPS, sigmas_mps, np.nan)
     true_ttc_s = np.where(_between(truth.ttc_s, 0.0, _MAX_TTC_S), truth.ttc_s, np.nan)
     return {
-        "closing": MotionQuantity(measured.closing_mps, closing_sigma, truth.closing_mps),
-        "speed": MotionQuantity(measured.speed_mps, speed_sigma, truth.speed_mps),
-        "ttc": MotionQuantity(measured.ttc_s, measured.ttc_sigma_s, true_ttc_s),
+        "closing": np.stack([measured.closing_mps, closing_sigma, truth.closing_mps]),
+        "speed": np.stack([measured.speed_mps, speed_sigma, truth.speed_mps]),
+        "ttc": np.stack([measured.ttc_s, measured.ttc_sigma_s, true_ttc_s]),
+    }
+
+
+def quantity_figures(values: FloatArray, rows: BoolArray) -> dict[str, float | None]:
+    """Errors and sigmas of values, sigmas and true values (3, N) in the rows (N,); None without an
+    answer.
+
+    `rms` and `stated_sigma` are root mean squares, so that they agree if sigma is true.
+    """
+    known = rows & np.isfinite(values[2])
+    answered = known & np.isfinite(values).all(axis=0)
+    value, sigma, true = values[:, answered]
+    error = np.abs(value - true)
+    figures: dict[str, float | None] = dict.fromkeys(("rms", "median_error", "stated_sigma"))
+    if len(error):
+        rms, stated = np.sqrt(np.mean([error**2, sigma**2], axis=1))
+        figures = dict(
+            zip(figures, np.round([rms, np.median(error), stated], 4).tolist(), strict=True)
+        )
+    return {
+        "n": int(known.sum()),
+        "coverage": fraction(answered[known]),
+        **figures,
+        **{f"within_{k}_sigma": fraction(error <= k * sigma) for k in (1, 2, 3)},
     }
 
 

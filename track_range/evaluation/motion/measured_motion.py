@@ -188,8 +188,8 @@ def _with_look_ahead(
     is_ego_known: bool,
     forward: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """(N,) closing speeds and times to collision with their sigmas, from forward states (6, N) and a filter
-    backwards in time.
+    """(N,) closing speeds and times to collision with their sigmas, from forward states (6, N) and
+    a filter backwards in time.
     """
     backward = np.full_like(forward, np.nan)
     for rows, _, _, filtered, _ in _filtered(motion, columns, is_ego_known, sign=-1):

@@ -18,7 +18,7 @@ from track_range.ranging.world.object_motion import MOTION_STATES
 
 RESTING_MPS = 0.5  # true speed below which an object is parked
 _PEOPLE = ("person", "bicycle")
-# limits of stated probabilities, whose states are as often right
+# limits of the classes of stated probabilities, which are compared with how many states are right
 _BINS = (0.5, 0.8, 0.9, 0.95, 0.99, 1.0)
 
 

@@ -123,7 +123,7 @@ class EventSettings:
     min_critical_s: float = 0.2
     near_miss_ttc_s: float = 1.0  # time to collision below which a predicted contact is a near miss
     near_miss_probability: float = 0.5  # smallest probability of contact of a near miss
-    # smallest gap by the last measurement of a near miss on the path; a smaller one may be a contact
+    # smallest last gap of a near miss on the path; a smaller one may be a contact
     near_miss_gap_m: float = 0.5
 
 

@@ -19,7 +19,8 @@ class StillBoxes(Reports):
     """Tracks that do not move in the image while the car drives.
 
     They are at the upper or lower edge of the image, where no vehicle ahead stays; the camera's
-    pitch moves such a vehicle in the image, too.
+    pitch moves such a vehicle in the image, too. `FixedParts` leaves out boxes of a detector whose
+    pixels never change; what remains are bonnets, whose reflections move, and recorded boxes.
     """
 
     rows: Rows

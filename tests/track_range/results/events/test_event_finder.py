@@ -253,7 +253,7 @@ def test_hard_approach_and_near_miss() -> None:
 def test_a_near_miss_says_whether_a_contact_is_within_its_errors(
     sigma: float, is_excluded: bool
 ) -> None:
-    """A car that stops 1 m ahead of the front, with 10 and 30 % of the distance of 2.5 m as sigma."""
+    """A car that stops 1 m ahead of the front, at 2.5 m with 10 and 30 % as sigma."""
 
     def results() -> Iterable[FrameResult]:
         for i in range(40):

@@ -31,6 +31,11 @@ _CLOSING_COLUMNS: tuple[ColumnSpec, ...] = (
 )
 
 
+# columns of the rows of contacts, and of what happens
+_CONTACT = ("object_id", "class", "contact_s")
+_OCCURRENCE = ("class", "first_visible_s", "conflict_s", "nearest_s", "warning", "outcome")
+
+
 class EventsOptions(EventEvaluationSettings):
     """Options of `track-range evaluate events`."""
 
@@ -58,11 +63,12 @@ def _score_grid(figures: Mapping[str, Any]) -> Grid:
     sections = {"all": figures["overall"], **by_kind}
     rows = list(sections.values())
     leads_s = [row["lead_s"] for row in rows]
+    limits = [row["false_alarms_per_hour_95"] or (None, None) for row in rows]
     columns = [
         *(Column(name.replace("_", " "), [row[name] for row in rows], "{:.0f}") for name in counts),
         Column("per hour", [row["false_alarms_per_hour"] for row in rows], "{:.2f}"),
-        Column("95 % from", [_limit(row, 0) for row in rows], "{:.2f}"),
-        Column("to", [_limit(row, 1) for row in rows], "{:.2f}"),
+        Column("95 % from", [low for low, _ in limits], "{:.2f}"),
+        Column("to", [high for _, high in limits], "{:.2f}"),
         Column("median lead s", [median(leads) if leads else None for leads in leads_s], "{:.2f}"),
         Column("shortest s", [min(leads, default=None) for leads in leads_s], "{:.2f}"),
     ]
@@ -74,26 +80,18 @@ def _score_grid(figures: Mapping[str, Any]) -> Grid:
     return grid_of(f"{title}{duration}", "", list(sections), columns)
 
 
-def _limit(section: Mapping[str, Any], end: int) -> float | None:
-    interval = section["false_alarms_per_hour_95"]
-    return None if interval is None else interval[end]
-
-
 def _drive_grids(figures: Mapping[str, Any]) -> Iterator[Grid]:
     contacts = [
-        (row["object_id"], row["class"], row["contact_s"], _HIT[row["is_hit"]], row["lead_s"])
+        (*map(row.get, _CONTACT), "hit" if row["is_hit"] else "miss", row["lead_s"])
         for row in figures.get("contacts", [])
     ]
     yield _grid("Contacts", ("object", "class", "at s", "", "lead s"), contacts)
     happens = [
-        (
-            *(number, row["class"], row["first_visible_s"], row["conflict_s"], row["nearest_s"]),
-            *(row["warning"], row["outcome"], *(row["warnings_s"][:1] or [None]), row["lead_s"]),
-        )
+        (number, *map(row.get, _OCCURRENCE), next(iter(row["warnings_s"]), None), row["lead_s"])
         for number, row in enumerate(figures.get("occurrences", []), 1)
     ]
-    happens += [
-        (*(None, row["class"], None, None, None), *(None, row["outcome"], row["warning_s"], None))
+    happens += [  # these have a class and an outcome alone
+        (None, *map(row.get, _OCCURRENCE), row["warning_s"], None)
         for row in figures.get("warnings", [])
         if row["row"] is None
     ]
@@ -105,18 +103,15 @@ def _drive_grids(figures: Mapping[str, Any]) -> Iterator[Grid]:
     yield grid_of("Error of the closing speed at 10-40 m", "class", list(sections), closing)
 
 
-_HIT = {True: "hit", False: "miss"}
-
-
 def _grid(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> Grid:
-    """A grid of values; seconds have two decimals, and None or "" is shown as missing."""
-    texts = [
-        [f"{value:.2f}" if isinstance(value, float) else str(value) for value in row]
-        for row in rows
-    ]
-    missing = ("None", "")
-    lines = [tuple(Cell(NOTHING if text in missing else text) for text in row) for row in texts]
-    return Grid(title, tuple(columns), tuple(lines))
+    return Grid(title, tuple(columns), tuple(tuple(map(_cell, row)) for row in rows))
+
+
+def _cell(value: Any) -> Cell:
+    """A value; seconds have two decimals, and None or "" is shown as missing."""
+    if value is None or value == "":
+        return Cell(NOTHING)
+    return Cell(f"{value:.2f}" if isinstance(value, float) else str(value))
 
 
 app = command(EventsOptions, _events)

@@ -5,7 +5,7 @@ rear-slower       a vehicle at a third to a half of the speed following       a 
 rear-braking      a vehicle ahead at 1.6 to 2.4 s brakes      oncoming        oncoming traffic in its lane, in bends
 crossing-adult    a person crosses from either side           overhead-sign   a gantry with a sign above the lane
 crossing-child    a child crosses from behind parked cars
-crossing-car      a vehicle comes out of a side road          yielding      vehicles brake at the mouth of side roads
+crossing-car      a vehicle comes out of a side road          yielding        vehicles brake at the mouths of side roads
 
 The left column ends in a contact 5.5 to 7.5 s after the start; the seed varies speeds, the lateral
 overlap (at least half of the narrower one for vehicles, the middle half of the ego vehicle's width
@@ -310,8 +310,8 @@ def _crossing_person(
 
 
 def _from_side_road(rng: np.random.Generator) -> tuple[str, float, int]:
-    """Type of a vehicle, the angle by which it drives more along the road than across it, rad, and
-    the side that it comes from, 1 = right.
+    """Type of a vehicle, the angle from straight across the road to its direction, positive =
+    along the drive, rad, and the side that it comes from, 1 = right.
     """
     kitti_type = str(rng.choice(("Car", "Van", "Truck", "Motorcycle"), p=(0.65, 0.15, 0.1, 0.1)))
     return kitti_type, float(rng.uniform(-0.3, 0.9)), 1 if rng.uniform() < 0.5 else -1
