@@ -249,7 +249,8 @@ def _alarm_thresholds(summary: Mapping[str, Any]) -> dict[str, float]:
 
 def _alarm_threshold(rows: Rows, limits: Mapping[str, float]) -> FloatArray:
     """(N,) probability of contact from which an alarm starts, by the deceleration that is needed
-    after the reaction time; NaN = that is unknown, as beside the path.
+    after the reaction time if the object keeps its speed; where it brakes, the alarm needs less.
+    NaN = that is unknown, as beside the path.
     """
     is_person = np.asarray(rows["class"]) == "person"
     on = np.where(is_person, limits["person"], limits["on"])

@@ -26,7 +26,7 @@ function probabilityChart(event) {
   const words = moments.map(([, time_s, name]) => `${name} at ${clockText(time_s)}`).join(", ");
   const svg = shape("svg", { class: "probability", viewBox: `0 0 ${width} ${height}`, role: "img",
     "aria-label": `Predicted probability of contact of ${titleOf(track)}; alarm from ${percent(on)} where hard braking is needed, off below ${percent(content.alarm.off)}; ${words}` });
-  svg.append(shape("title", {}, `Predicted probability of contact; dashed: an alarm needs this, at least ${percent(on)}; dotted: it ends below ${percent(content.alarm.off)}; ${words}`));
+  svg.append(shape("title", {}, `Predicted probability of contact; dashed: an alarm needs this if the object keeps its speed, less if it brakes, at least ${percent(on)}; dotted: it ends below ${percent(content.alarm.off)}; ${words}`));
   const off_y = y(content.alarm.off), xs = rows.map((i) => x(t[i])), isGap = (i) => isBreak(rows[i]);
   svg.append(shape("line", { class: "limit", x1: left, x2: width - right, y1: off_y, y2: off_y, "stroke-dasharray": "1 3" }));
   if (p_on) svg.append(shape("path", { class: "limit", d: linePath(xs, rows.map((i) => y(p_on[i])), isGap), "stroke-dasharray": "4 2" }));
