@@ -138,8 +138,13 @@ def errors_of(priors: CameraPriors) -> Errors:
 
 
 def _errors_of(error_sources: Sequence[str], of_height: tuple[Sum, ...]) -> tuple[Sum, ...]:
+    """The unknowns that a distance is in proportion to, by the sources of its errors.
+
+    A distance by size is in proportion to the size and the focal length, also where contact points
+    and the horizon are a part of its evidence.
+    """
     if "baseline" in error_sources:
         return (OF_PAIR,)
-    if {"horizon", "lane_width"} & {*error_sources}:
+    if "size" not in error_sources and {"horizon", "lane_width"} & {*error_sources}:
         return of_height
     return (OF_FOCAL,)

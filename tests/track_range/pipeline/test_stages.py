@@ -172,6 +172,15 @@ def test_doubt_is_returned_with_a_scale_without_evidence():
     assert "baseline" in stage.notes()[0]
 
 
+@pytest.mark.parametrize("given", [{"baseline_m": 0.5}, {"height_m": 1.5}, {}])
+def test_distances_by_size_have_the_error_of_the_focal_length_alone(given):
+    # contact points and the horizon are a part of their evidence, and the road is not their scale
+    errors = errors_of(camera_priors(CAMERA.fx_px, **given))
+    assert errors["mono"] == ({Unknown.FOCAL: 1.0},)
+    assert Unknown.FOCAL in errors["ground"][0]
+    assert errors["ground"] != errors["mono"]
+
+
 def test_speed_alone_in_doubt_is_not_used_and_widens_no_distance():
     by_height = Evidence("a known height", {Unknown.HEIGHT: 1.0}, 0.0, 0.01)
     by_speed = Evidence(
