@@ -101,8 +101,8 @@ MOST_STATEMENTS = {
     # the mounting of a rig file (2)
     # what happens in a recording, of several drives (17)
     # a table by drive of labelled distances (23)
-    # tables by cell and by drive (13)
-    "cli": 2_475,
+    # tables by cell and by drive (11)
+    "cli": 2_473,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (143), several drives together, and intervals of rates (49)
@@ -169,8 +169,8 @@ MOST_STATEMENTS = {
     "simulation": 3_283,
     # the picture of the estimate of a camera (62)
     # the share within 25 % (1)
-    # thresholds of the alarm beside the probability of contact, and sigmas of events (24)
-    "views": 2_638,
+    # thresholds of the alarm beside the probability of contact, and sigmas of events (21)
+    "views": 2_635,
     "track_range": 99,  # a module of errors and one of evaluations, each with its names for type checkers (18)
 }
 

@@ -17,10 +17,6 @@ from typing import Any
 NOTHING = "-"  # text of a value that was not measured
 SIGMA = "\N{GREEK SMALL LETTER SIGMA}"
 WITHIN_1_SIGMA, WITHIN_2_SIGMA = 0.6827, 0.9545  # of a normal distribution
-WITHIN_1_HEADING, WITHIN_2_HEADING, WITHIN_3_HEADING = (
-    f"\N{LESS-THAN OR EQUAL TO}{k}{SIGMA} %" for k in (1, 2, 3)
-)
-"""Headings of the percentage of errors within one, two and three sigma."""
 
 # function of a value that is smallest for the best value of a column
 Cost = Callable[[float], float]
@@ -114,6 +110,16 @@ def from_normal(expected: float) -> Cost:
 
 # the fraction of distances that are not grossly wrong, which a mean error hides
 WITHIN_25: ColumnSpec = ("within 25 %", "within_25_percent", "{:.1f}", 100.0, largest)
+# percentages of errors within 1, 2 and 3 sigma, of which a table shows those that it has
+WITHIN_SIGMAS: tuple[ColumnSpec, ...] = tuple(
+    (f"\N{LESS-THAN OR EQUAL TO}{k}{SIGMA} %", f"within_{k}_sigma", "{:.0f}", 100.0)
+    for k in (1, 2, 3)
+)
+# the first two of methods that are compared: the best ones are nearest to a normal distribution
+NEAR_NORMAL: tuple[ColumnSpec, ...] = (
+    (*WITHIN_SIGMAS[0], from_normal(WITHIN_1_SIGMA)),
+    (*WITHIN_SIGMAS[1], from_normal(WITHIN_2_SIGMA)),
+)
 METHOD_COLUMNS: tuple[ColumnSpec, ...] = (
     ("coverage %", "coverage", "{:.0f}", 100.0, largest),
     ("n", "n", "{:.0f}"),
@@ -121,8 +127,7 @@ METHOD_COLUMNS: tuple[ColumnSpec, ...] = (
     WITHIN_25,
     ("median %", "median_relative_error_pct", "{:.1f}", 1.0, abs),
     ("bias %", "bias_pct", "{:+.1f}", 1.0, abs),
-    (WITHIN_1_HEADING, "within_1_sigma", "{:.0f}", 100.0, from_normal(WITHIN_1_SIGMA)),
-    (WITHIN_2_HEADING, "within_2_sigma", "{:.0f}", 100.0, from_normal(WITHIN_2_SIGMA)),
+    *NEAR_NORMAL,
 )
 
 _CLOSING_COLUMNS: tuple[ColumnSpec, ...] = (
@@ -131,8 +136,7 @@ _CLOSING_COLUMNS: tuple[ColumnSpec, ...] = (
     ("mean m/s", "mean_error_mps", "{:.2f}"),
     ("median m/s", "median_error_mps", "{:.2f}"),
     ("bias m/s", "bias_mps", "{:+.2f}"),
-    (WITHIN_1_HEADING, "within_1_sigma", "{:.0f}", 100.0),
-    (WITHIN_2_HEADING, "within_2_sigma", "{:.0f}", 100.0),
+    *WITHIN_SIGMAS,
     (f"{SIGMA} m/s", "median_sigma_mps", "{:.2f}"),
 )
 

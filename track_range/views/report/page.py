@@ -13,6 +13,7 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -238,13 +239,8 @@ def _alarm_thresholds(summary: Mapping[str, Any]) -> dict[str, float]:
     which it ends.
     """
     given = (summary.get("settings") or {}).get("warning_options") or {}
-    names = {"on": "on_probability", "person": "person_probability", "off": "off_probability"}
-    usual = WarningSettings()
-    thresholds = {}
-    for key, name in names.items():
-        chosen = tables.figure(given, name)
-        thresholds[key] = getattr(usual, name) if chosen is None else chosen
-    return thresholds
+    chosen = {**asdict(WarningSettings()), **given}
+    return {key: chosen[f"{key}_probability"] for key in ("on", "person", "off")}
 
 
 def _alarm_threshold(rows: Rows, limits: Mapping[str, float]) -> FloatArray:

@@ -33,8 +33,7 @@ _SPEED: tuple[tables.ColumnSpec, ...] = (
     ("coverage %", "coverage", "{:.0f}", 100.0),
     ("median m/s", "median_mps", "{:.2f}"),
     ("95 % m/s", "p95_mps", "{:.2f}"),
-    (tables.WITHIN_1_HEADING, "within_1_sigma", "{:.0f}", 100.0),
-    (tables.WITHIN_2_HEADING, "within_2_sigma", "{:.0f}", 100.0),
+    *tables.WITHIN_SIGMAS,
 )
 _CELL: tuple[tables.ColumnSpec, ...] = (
     ("n", "n", "{:.0f}"),
@@ -42,9 +41,7 @@ _CELL: tuple[tables.ColumnSpec, ...] = (
     ("rms", "rms", "{:.2f}"),
     ("median", "median_error", "{:.2f}"),
     (f"stated {tables.SIGMA}", "stated_sigma", "{:.2f}"),
-    (tables.WITHIN_1_HEADING, "within_1_sigma", "{:.0f}", 100.0),
-    (tables.WITHIN_2_HEADING, "within_2_sigma", "{:.0f}", 100.0),
-    (tables.WITHIN_3_HEADING, "within_3_sigma", "{:.0f}", 100.0),
+    *tables.WITHIN_SIGMAS,
 )
 _QUANTITIES = {
     "closing": "Closing speed, m/s",
@@ -93,15 +90,14 @@ def _grids(figures: Mapping[str, Any]) -> Iterator[tables.Grid]:
 
 
 def _cell_grids(figures: Mapping[str, Any]) -> Iterator[tables.Grid]:
-    for name, title in _QUANTITIES.items():
-        cells = {cell: row for cell, row in figures["cells"][name].items() if row["n"]}
-        columns = tables.columns_of(cells.values(), _CELL)
-        yield tables.grid_of(f"{title}, by cell", "objects", list(cells), columns)
-    for name, title in _QUANTITIES.items():
-        drives, worst = figures["drives"][name], figures["worst_drives"][name]
-        names = [f"{drive} (worst)" if drive == worst else drive for drive in drives]
-        columns = tables.columns_of(drives.values(), _CELL)
-        yield tables.grid_of(f"{title}, by drive", "drive", names, columns)
+    """Tables by cell, of those with boxes, and then by drive."""
+    for by, corner in (("cell", "objects"), ("drive", "drive")):
+        for name, title in _QUANTITIES.items():
+            worst = figures["worst_drives"][name] if by == "drive" else None
+            rows = {key: row for key, row in figures[f"{by}s"][name].items() if row["n"]}
+            names = [f"{key} (worst)" if key == worst else key for key in rows]
+            columns = tables.columns_of(rows.values(), _CELL)
+            yield tables.grid_of(f"{title}, by {by}", corner, names, columns)
 
 
 app = command(MotionOptions, _motion)

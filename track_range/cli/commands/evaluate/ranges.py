@@ -48,20 +48,7 @@ _COLUMNS: tuple[tables.ColumnSpec, ...] = (
     tables.WITHIN_25,
     ("median %", "median_relative_error_pct", "{:.2f}", 1.0, abs),
     ("bias %", "bias_pct", "{:+.2f}", 1.0, abs),
-    (
-        tables.WITHIN_1_HEADING,
-        "within_1_sigma",
-        "{:.0f}",
-        100.0,
-        tables.from_normal(tables.WITHIN_1_SIGMA),
-    ),
-    (
-        tables.WITHIN_2_HEADING,
-        "within_2_sigma",
-        "{:.0f}",
-        100.0,
-        tables.from_normal(tables.WITHIN_2_SIGMA),
-    ),
+    *tables.NEAR_NORMAL,
     ("rear %", "rear_view_pct", "{:.2f}", 1.0, abs),
     ("far %", "far_pct", "{:.2f}", 1.0, abs),
     ("rear,far %", "rear_view_far_pct", "{:.2f}", 1.0, abs),
@@ -112,8 +99,7 @@ def _drive_grids(figures: Mapping[str, Any]) -> list[tables.Grid]:
 _DRIVE_COLUMNS: tuple[tables.ColumnSpec, ...] = (
     ("n", "n", "{:.0f}"),
     ("bias %", "bias_pct", "{:+.1f}"),
-    (tables.WITHIN_1_HEADING, "within_1_sigma", "{:.0f}", 100.0),
-    (tables.WITHIN_2_HEADING, "within_2_sigma", "{:.0f}", 100.0),
+    *tables.WITHIN_SIGMAS,
 )
 
 

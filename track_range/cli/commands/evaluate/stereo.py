@@ -45,20 +45,7 @@ _COLUMNS: tuple[tables.ColumnSpec, ...] = (
     ("error px", "median_abs_error_px", "{:.3f}", 1.0, abs),
 )
 _MORE_COLUMNS: tuple[tables.ColumnSpec, ...] = (
-    (
-        tables.WITHIN_1_HEADING,
-        "within_1_sigma",
-        "{:.0f}",
-        100.0,
-        tables.from_normal(tables.WITHIN_1_SIGMA),
-    ),
-    (
-        tables.WITHIN_2_HEADING,
-        "within_2_sigma",
-        "{:.0f}",
-        100.0,
-        tables.from_normal(tables.WITHIN_2_SIGMA),
-    ),
+    *tables.NEAR_NORMAL,
     ("ms/frame", "ms_per_frame", "{:.1f}", 1.0, abs),
 )
 _INTERVALS = (  # heading, key and format of each column
