@@ -90,7 +90,8 @@ class PaperFilter:
         ttc_s, ttc_sigma_s = time_to_collision(distance_m, rate_mps, variances=variances)
         ranges = Ranges(measured.track_id, distance_m, np.sqrt(variance))
         state = ConstantVelocity(distance_m, rate_mps, *variances)
-        return FilteredRanges(ranges, rate_mps, np.sqrt(rate_variance), ttc_s, ttc_sigma_s, state)
+        rate_sigma_mps, own_mps2 = np.sqrt(rate_variance), np.zeros_like(rate_mps)
+        return FilteredRanges(ranges, rate_mps, rate_sigma_mps, ttc_s, ttc_sigma_s, state, own_mps2)
 
 
 def _kalman_filter(first_m: float) -> Any:

@@ -280,6 +280,7 @@ class DistanceFilters:
             d, np.where(is_certain, v, np.nan), variances=(P_dd, P_dv, P_vv)
         )
         static = mean_of(is_static.astype(np.float64), bank.weight)
+        own_mps2 = mean_of(bank.acceleration.a, bank.weight)
         return {
             name: FilteredRanges(
                 Ranges(by_method[name].track_id, d[i], sigma_m[i]),
@@ -288,6 +289,7 @@ class DistanceFilters:
                 ttc_s[i],
                 ttc_sigma_s[i],
                 ConstantVelocity(d[i], true_v[i], P_dd[i], true_P_dv[i], true_P_vv[i]),
+                own_mps2[i],
                 static[i],
             )
             for i, name in enumerate(self._fractions)

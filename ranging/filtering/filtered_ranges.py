@@ -25,6 +25,7 @@ class FilteredRanges:
     ttc_sigma_s: FloatArray  # (N,) standard deviation of `ttc_s`, to first order
     # distance and rate, (N,) each, also where the rate is too uncertain to be reported
     state: ConstantVelocity
+    own_mps2: FloatArray  # (N,) acceleration over ground that the rate follows; 0 = none
     # (N,) probability that the object does not move along the axis; None = unknown
     static: FloatArray | None = None
 
@@ -38,6 +39,7 @@ class FilteredRanges:
             rate_mps=factor * self.rate_mps,
             rate_sigma_mps=factor * self.rate_sigma_mps,
             state=self.state.scaled(factor),
+            own_mps2=factor * self.own_mps2,
         )
 
 

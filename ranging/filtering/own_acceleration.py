@@ -20,6 +20,7 @@ from track_range.ranging.filtering.key_distance import GrowthInnovation, KeyDist
 # tau, from changes of speed of moving vehicles on 13 of KITTI's sequences: their mean square grows
 # by factors of 3.3, 3.0 and 2.7 from 0.5 over 1 and 2 to 4 s, that of a random walk by 2
 _TAU_S = 1.5
+_MAX_LAG_S = 0.6  # of a motion that is corrected
 
 
 class OwnAcceleration(NamedTuple):
@@ -120,6 +121,25 @@ class OwnAcceleration(NamedTuple):
     def start_key(self, is_key: BoolArray) -> OwnAcceleration:
         """The acceleration where this frame becomes the key frame, whose r is d."""
         return self._replace(P_ra=np.where(is_key, self.P_da, self.P_ra))
+
+
+def without_lag(
+    motion: ConstantVelocity, missed_mps2: FloatArray, variance: FloatArray
+) -> ConstantVelocity:
+    """Filtered distances and rates, corrected for their lag behind an acceleration of which the
+    filter follows all but `missed_mps2`, with its variance.
+
+    In the steady state, a filter of constant speed is behind by e_v = a T and e_x = a T^2 / 2 with
+    T = P_xx / P_xv; one that follows a part of a is behind by the rest.
+    """
+    T = np.clip(motion.P_xx / np.maximum(motion.P_xv, 1e-9), 0.0, _MAX_LAG_S)
+    return ConstantVelocity(
+        motion.x + missed_mps2 * T * T / 2,
+        motion.v + missed_mps2 * T,
+        motion.P_xx + variance * T**4 / 4,
+        motion.P_xv + variance * T**3 / 2,
+        motion.P_vv + variance * T * T,
+    )
 
 
 def _transition(dt: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -7,7 +7,8 @@ starts the alarm.
 Speed of the object along the road:    u = v + V    a Kalman filter with the state [u, u'] and the filtered rate v
 Speed of the ego vehicle:              V            another one with the state [V, V']
 Yaw rate of the ego vehicle:           w            another one with the state [w, w']
-Without ego speed, V = V' = 0. A change of u beyond 3 standard deviations means that the track is on another object.
+Without ego speed, V = V' = 0. The rate v follows a part of u' itself (`OwnAcceleration`); the gap is
+corrected for the rest. A change of u beyond 3 standard deviations means that the track is on another object.
 The filtered rate v has a model of the motion, and takes about a second to forget another object; so a filter without a
 model has to confirm it before an alarm starts.
 
@@ -41,6 +42,7 @@ from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.filtering.distance_filter import FilteredRanges
 from track_range.ranging.filtering.lateral_motion import LateralMotion
+from track_range.ranging.filtering.own_acceleration import without_lag
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.warning.contact import (
     Encounter,
@@ -81,7 +83,6 @@ _JUMP_SIGMA = 3.0
 # of road users, and across the path of vehicles and people; above, the track is wrong
 _MAX_SPEED_MPS, _MAX_ACCELERATION_MPS2 = 70.0, 15.0
 _MAX_LATERAL_MPS, _MAX_RUNNING_MPS = 12.0, 5.0
-_MAX_LAG_S = 0.6  # of a distance filter that is corrected
 # distance from the ego path, in standard deviations, beyond which a vehicle is beside it, so that it
 # may cut in
 _BESIDE_SIGMA = 2.0
@@ -291,7 +292,7 @@ class CollisionWarning:
 
         # Position relative to the ego path.
         scale_variance = _scale_variance(motion)
-        gap = _without_lag(state, own.v, own.P_vv)
+        gap = without_lag(state, own.v - motion.own_mps2, own.P_vv)
         gap = _with_scale(gap, scale_variance, moving=self._moving(motion))
         offset = self._offset(tracks, gap, _with_scale(lateral.state, scale_variance))
         half_width_m = lateral.half_width_m + settings.ego_width_m / 2
@@ -589,20 +590,4 @@ def _with_rate(
         P_xx=(w * (state.P_xx - K_x * state.P_xv + dx * dx)).sum(axis=0),
         P_xv=(w * (state.P_xv - K_x * state.P_vv + dx * dv)).sum(axis=0),
         P_vv=(w * (state.P_vv - K_v * state.P_vv + dv * dv)).sum(axis=0),
-    )
-
-
-def _without_lag(gap: ConstantVelocity, a: FloatArray, a_variance: FloatArray) -> ConstantVelocity:
-    """The filtered distance corrected for the lag of a constant-velocity filter behind an
-    acceleration.
-
-    In the steady state, the filter is behind by e_v = a T and e_x = a T^2 / 2 with T = P_xx / P_xv.
-    """
-    T = np.clip(gap.P_xx / np.maximum(gap.P_xv, 1e-9), 0.0, _MAX_LAG_S)
-    return ConstantVelocity(
-        gap.x + a * T * T / 2,
-        gap.v + a * T,
-        gap.P_xx + a_variance * T**4 / 4,
-        gap.P_xv + a_variance * T**3 / 2,
-        gap.P_vv + a_variance * T * T,
     )

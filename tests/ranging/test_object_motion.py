@@ -29,8 +29,9 @@ def motion_of(rate_mps, *, distance_m=20.0, sigma_m=0.5, rate_sigma_mps=0.3, sta
     )
     ranges = Ranges(np.arange(len(v)), state.x, full(v, sigma_m))
     static = np.where(np.abs(v + EGO_MPS) < 0.5, 0.97, 0.0) if static is None else full(v, static)
+    nan = full(v, np.nan)
     return FilteredRanges(
-        ranges, v, full(v, rate_sigma_mps), full(v, np.nan), full(v, np.nan), state, static
+        ranges, v, full(v, rate_sigma_mps), nan, nan, state, np.zeros_like(v), static
     )
 
 

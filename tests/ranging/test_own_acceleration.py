@@ -6,7 +6,7 @@ import pytest
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.filtering.key_distance import KeyDistance
-from track_range.ranging.filtering.own_acceleration import OwnAcceleration
+from track_range.ranging.filtering.own_acceleration import OwnAcceleration, without_lag
 from track_range.ranging.measurement.growth import Growth
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.stereo.odometry.ego_motion import EgoMotion
@@ -89,16 +89,21 @@ def test_key_frames_and_restarts():
 
 def closing_of(lead_mps, *, seed, sigma=0.02):
     """(N,) true and measured closing speeds with sigmas of a lead with the speeds (N,), 30 m ahead
-    at first, from a camera at 14 m/s; 10 Hz, distances with independent relative errors."""
+    at first, from a camera at 14 m/s, and those without lag behind the true acceleration; 10 Hz,
+    distances with independent relative errors."""
     rng, dt, ego_mps = np.random.default_rng(seed), 0.1, 14.0
     gap_m = 30.0 + np.cumsum(dt * (lead_mps - ego_mps))
+    acceleration_mps2 = np.gradient(lead_mps, dt)
     filters, rows = DistanceFilters({"fused": 1.0}), []
     ego = EgoMotion(ego_mps, 0.05, 0.0)
     for i, true_m in enumerate(gap_m):
         z = np.array([true_m * np.exp(sigma * rng.normal())])
         measured = {"fused": Ranges(np.array([1]), z, sigma * z, 0.1 * sigma * z)}
         state = filters.update(measured, dt * i, ego=ego)["fused"]
-        rows.append((ego_mps - lead_mps[i], -state.rate_mps[0], state.rate_sigma_mps[0]))
+        missed_mps2 = acceleration_mps2[i] - state.own_mps2
+        corrected = without_lag(state.state, missed_mps2, 0.0 * missed_mps2)
+        known = ego_mps - lead_mps[i], -state.rate_mps[0], state.rate_sigma_mps[0]
+        rows.append((*known, -corrected.v[0]))
     return np.array(rows).T
 
 
@@ -108,10 +113,24 @@ def test_a_lead_that_brakes():
     lead_mps = 14.0 - 4.0 * np.clip(t - 3.0, 0.0, None)
     errors = []
     for seed in range(12):
-        true, measured, sigma = closing_of(lead_mps, seed=seed)
+        true, measured, sigma, _ = closing_of(lead_mps, seed=seed)
         errors.append(true[-1] - measured[-1])
         assert abs(errors[-1]) < 3 * sigma[-1]
     assert -0.4 < np.mean(errors) < 1.2
+
+
+def test_a_known_braking_is_followed_without_lag():
+    """From 0.6 s to 3 s after its start: the filter alone is behind, as it follows it late, and the
+    part that it does follow is not corrected again."""
+    t = 0.1 * np.arange(61)
+    lead_mps = 14.0 - 3.0 * np.clip(t - 3.0, 0.0, None)
+    true, measured, _, corrected = np.mean(
+        [closing_of(lead_mps, seed=seed) for seed in range(12)], axis=0
+    )
+    late, left = (true - measured)[36:], (true - corrected)[36:]
+    assert late.max() > 1.5
+    assert np.sqrt(np.mean(left**2)) < 0.6 * np.sqrt(np.mean(late**2))
+    assert -0.5 < left[20:].mean() < 0.5
 
 
 def test_sigma_of_moving_objects():
@@ -123,7 +142,7 @@ def test_sigma_of_moving_objects():
         for _ in range(60):
             a = np.exp(-0.1 / TAU_S) * a + rng.normal() * 1.1 * np.sqrt(1 - np.exp(-0.2 / TAU_S))
             speeds.append(speeds[-1] + 0.1 * a)
-        true, measured, sigma = closing_of(np.array(speeds), seed=seed)
+        true, measured, sigma, _ = closing_of(np.array(speeds), seed=seed)
         in_sigmas.append(np.abs(measured - true)[10:] / sigma[10:])
     in_sigmas = np.concatenate(in_sigmas)
     assert 0.6 < np.mean(in_sigmas < 1) < 0.85
