@@ -1,6 +1,7 @@
 """BelievedSizes: how the believed size of each object changed, which is no motion.
 
-    s = log z + log h        z: distance by a method, h: height of the box, s: believed size, up to a constant
+    s = log z + log h        z: distance by a method, h: height of the box
+                             s: believed size, up to a constant
 
 A rigid object keeps its size, so that its motion along the axis shows in h alone. A distance by an
 assumed size also changes with the assumption: the body type that the views of a truck suggest, the

@@ -16,7 +16,8 @@ V does not change, since the error of V does not change either. In turns, V is t
 static objects at the bearing b come nearer, V - w b d. A new track starts as a static target, v = -V.
 
 A filter runs for each of several models of the motion, static or with other accelerations, and the
-results are their mean (`motion_models`). The closing speed of a static object is V, whatever its size.
+results are their mean (`motion_models`). The acceleration of moving objects is a third state
+(`OwnAcceleration`). The closing speed of a static object is V, whatever its size.
 
 The sigma of a method has an independent part, new in every frame (box jitter, matching noise), and
 a systematic part, constant over a track (the car is larger than average). Only the independent part

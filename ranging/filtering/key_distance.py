@@ -102,8 +102,9 @@ class KeyDistance(NamedTuple):
     def correct_by_growth(
         self, motion: ConstantVelocity, growth: GrowthInnovation, *, outlier_sigma: float
     ) -> tuple[ConstantVelocity, KeyDistance, FloatArray]:
-        """Motion and key distance after the growth, and the weight 1 / S that it had; 0 = unchanged,
-        since it is not valid or was given up.
+        """Motion and key distance after the growth, and the weight 1 / S that it had.
+
+        A weight of 0 = unchanged, since the growth is not valid or the key frame was given up.
 
         Measurements beyond `outlier_sigma` standard deviations are down-weighted. Where the
         covariance would not be positive, since distances far apart are not linear, the key frame is

@@ -29,7 +29,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 
 # of the own speed of moving objects beside their acceleration, m/s per square root of a second
-MOVING_NOISES = (0.2, 0.2)
+_MOVING_NOISES = (0.2, 0.2)
 # sigma_a of calm and agile road users, m/s^2; as are the changes of the speeds of moving objects on
 # 13 of KITTI's sequences, for vehicles those from 0.5 to 4 s
 _ACCELERATIONS_MPS2 = np.array(
@@ -38,7 +38,8 @@ _ACCELERATIONS_MPS2 = np.array(
 """(2, road classes)"""
 # of a camera whose speed is unknown: the rates of all objects change with its own speed, m/s^2
 _EGO_ACCELERATION_MPS2 = 0.5
-_STATIC_NOISE = 0.02  # the same of static objects, whose relative size error changes
+# of the own speed of static objects, whose relative size error changes, as `_MOVING_NOISES`
+_STATIC_NOISE = 0.02
 _STATIC_SIGMA_MPS = 0.1  # of the own speed of static objects at the start
 STATIC_RATE_SIGMA_MPS = 0.2  # of the closing speed of static objects beside that of the ego speed
 _STATIC_PRIOR = np.array([{"person": 0.2, "bicycle": 0.2}.get(name, 0.7) for name in ROAD_CLASSES])
@@ -64,7 +65,7 @@ class InteractingModels:
         self,
         n_methods: int = 1,
         *,
-        noises: tuple[float, ...] = MOVING_NOISES,
+        noises: tuple[float, ...] = _MOVING_NOISES,
         accelerations_mps2: FloatArray | float = _ACCELERATIONS_MPS2,
         has_static: bool = True,
     ) -> None:

@@ -51,8 +51,9 @@ class OwnAcceleration(NamedTuple):
     def predict(
         self, motion: ConstantVelocity, dt: FloatArray, sigma_mps2: FloatArray
     ) -> tuple[ConstantVelocity, OwnAcceleration]:
-        """The motion, which is predicted without a, and the acceleration after `dt`; `sigma_mps2` is
-        sigma_a.
+        """The motion, which is predicted without a, and the acceleration after `dt`.
+
+        `sigma_mps2` is sigma_a.
         """
         e, f, g = _transition(dt)
         variance = sigma_mps2 * sigma_mps2

@@ -1,16 +1,16 @@
-"""CollisionWarning: probability of contact of all tracks of a video, and an alarm with hysteresis for each.
+"""CollisionWarning: probability of contact of all tracks of a video, each with an alarm.
 
-The motion of a track relative to the ego vehicle and its path predicts a contact (`contact`), the predictions of
-successive frames are the evidence of a sequential test (`sequential_test`), which gives the reported probability and
-starts the alarm.
+The motion of a track relative to the ego vehicle and its path predicts a contact (`contact`). The
+predictions of successive frames are the evidence of a sequential test (`sequential_test`), which
+gives the reported probability and starts the alarm; its end has a hysteresis.
 
 Speed of the object along the road:    u = v + V    a Kalman filter with the state [u, u'] and the filtered rate v
 Speed of the ego vehicle:              V            another one with the state [V, V']
 Yaw rate of the ego vehicle:           w            another one with the state [w, w']
-Without ego speed, V = V' = 0. The rate v follows a part of u' itself (`OwnAcceleration`); the gap is
-corrected for the rest. A change of u beyond 3 standard deviations means that the track is on another object.
-The filtered rate v has a model of the motion, and takes about a second to forget another object; so a filter without a
-model has to confirm it before an alarm starts.
+Without ego speed, V = V' = 0. The rate v follows a part of u' itself (`OwnAcceleration`); the gap
+is corrected for the rest. A change of u beyond 3 standard deviations means that the track is on
+another object. The filtered rate v has a model of the motion, and takes about a second to forget
+another object; so a filter without a model has to confirm it before an alarm starts.
 
 Ego path: the yaw rate goes on changing as it does, and its change w' is a random walk with the density q. In its
 coordinates, an object at the distance z, which the ego vehicle reaches after T = z / V, has

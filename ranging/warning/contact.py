@@ -108,10 +108,11 @@ def yielding_probability(encounter: Encounter) -> FloatArray:
 
 
 def needed_deceleration(encounter: Encounter, reaction_s: float) -> FloatArray:
-    """(N,) constant deceleration of the ego vehicle that avoids a contact, from the reaction time on, m/s^2.
+    """(N,) constant deceleration in m/s^2, from the reaction time on, that avoids a contact.
 
-    Until then the ego vehicle goes on as before. With the gap g, the closing speed c, the object's speed u and its
-    deceleration b at that time, the speeds become equal before the object stops, or the object stops first:
+    Until then the ego vehicle goes on as before. With the gap g, the closing speed c, the object's
+    speed u and its deceleration b at that time, the speeds become equal before the object stops, or
+    the object stops first:
         b + c^2 / 2 g              if 2 g / c < u / b
         V^2 / 2 (g + u^2 / 2 b)    otherwise (ISO 15623)
     """

@@ -13,9 +13,9 @@ posterior probability, which is reported, is
 
     P = 1 / (1 + exp(-(alpha + beta L)))
 
-A track that is new,
-or has jumped, may be no object, or another one, with the probability a exp(-age / T_a): such tracks
-end soon. So p_k is the predicted probability times 1 - a exp(-age / T_a).
+A track that is new, or has jumped, may be no object, or another one, with the probability
+a exp(-age / T_a): such tracks end soon. So p_k is the predicted probability times
+1 - a exp(-age / T_a).
 
 To warn now costs C_f, with the probability 1 - P that there is no contact. To wait for dt costs the
 rise dC of the loss of a late warning, with the probability P. What a step can bring is new
@@ -98,8 +98,9 @@ def threshold_probability(on_probability: float, needed_mps2: float) -> float:
 def is_due(
     log_odds: FloatArray, on_probability: FloatArray, needed_mps2: FloatArray, least_mps2: float
 ) -> BoolArray:
-    """(N,) whether waiting costs more than an alarm, by the log odds of P; never below `least_mps2`,
-    normal driving.
+    """(N,) whether waiting costs more than an alarm, by the log odds of P.
+
+    It never does below `least_mps2`, normal driving.
     """
     is_needed = needed_mps2 >= least_mps2
     return np.asarray(is_needed & (log_odds >= threshold(on_probability, needed_mps2)))
