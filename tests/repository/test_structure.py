@@ -148,7 +148,8 @@ MOST_STATEMENTS = {
     # the names of others are refused (15)
     # the shape of an estimate of a camera (20)
     # sentences of events with sigmas, predictions as such, and what is not known (36)
-    "results": 2_681,
+    # columns that were added after all others, before those of packages (2)
+    "results": 2_683,
     # imports of one file for each idea of the settings (45); the parts of a run report, each in a class
     # of its own with what it imports (205); the options of its recording (15); notes on packages
     # at the end (5)

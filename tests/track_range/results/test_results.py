@@ -26,7 +26,7 @@ CONTRACT = (
     "ego_mps,contact_probability,warning,path_offset_m,stereo_surfaces,stereo_probability,"
     "speed_mps,speed_sigma_mps,heading_deg,world_x_m,world_y_m,state,"
     "gap_m,ttc_front_s,headway_s,drac_mps2,mdrac_mps2,tet_s,tit_s2,lane_index,lane_index_sigma,is_lead,"
-    "expansion_ttc_s,expansion_ttc_sigma_s"
+    "expansion_ttc_s,expansion_ttc_sigma_s,state_probability"
 ).split(",")
 
 

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.ranging.methods.method import MethodError
+from track_range.ranging.methods.method import MethodError, RangingMethod
 from track_range.ranging.registry import METHODS, methods
 from track_range.ranging.world.object_motion import MOTION_STATES
 from track_range.results.rows.column import ResultColumn
@@ -182,13 +182,6 @@ _MOTION = (
         "name",
         names=MOTION_STATES,
     ),
-    ResultColumn(
-        "state_probability",
-        "",
-        "world.motion.state_probability",
-        "probability that `state` is right, 0.5 to 1",
-        decimals=4,
-    ),
 )
 
 _SAFETY = (
@@ -249,6 +242,16 @@ _SAFETY = (
     ),
 )
 
+_LATER = (  # that were added after all others: readers by position keep their columns
+    ResultColumn(
+        "state_probability",
+        "",
+        "world.motion.state_probability",
+        "probability that `state` is right, 0.5 to 1",
+        decimals=4,
+    ),
+)
+
 _TRUTH = (  # that are added to the rows where there is ground truth, and are in no file
     ResultColumn("truth_m", "m", "", "true distance"),
     ResultColumn("scored_truth_m", "m", "", "the same of objects that count for the errors"),
@@ -263,9 +266,14 @@ def result_columns() -> tuple[ResultColumn, ...]:
     distances = [column for name in _first_distances() for column in _distance_columns(name)]
     columns = (*_FIRST, *distances, *_APPROACH)
     names = {column.name for column in columns}
-    own = [column for column in _method_columns(is_built_in=True) if column.name not in names]
-    others = _method_columns(is_built_in=False)
-    all_columns = (*columns, *own, *_MOTION, *_SAFETY, *others)
+    built_in = [method for method in methods() if method.name in METHODS.built_in]
+    by_distance = _method_columns(method for method in built_in if method.measures_distance)
+    own = [column for column in by_distance if column.name not in names]
+    without_distance = _method_columns(
+        method for method in built_in if not method.measures_distance
+    )
+    others = _method_columns(method for method in methods() if method.name not in METHODS.built_in)
+    all_columns = (*columns, *own, *_MOTION, *_SAFETY, *without_distance, *_LATER, *others)
     _check_names(column.name for column in all_columns)
     return all_columns
 
@@ -318,14 +326,9 @@ def _distance_columns(name: str) -> Iterator[ResultColumn]:
         )
 
 
-def _method_columns(*, is_built_in: bool) -> Iterator[ResultColumn]:
-    """Columns of the distances of ranging methods and of their filters, if any, and NAME_DETAIL.
-
-    `is_built_in`: for built-in methods that measure distances, else for all other methods.
-    """
-    for method in methods():
-        if (method.name in METHODS.built_in and method.measures_distance) != is_built_in:
-            continue
+def _method_columns(chosen: Iterable[RangingMethod]) -> Iterator[ResultColumn]:
+    """Columns of the distances of these methods and of their filters, if any, and NAME_DETAIL."""
+    for method in chosen:
         names = (method.name, *([f"{method.name}_kf"] if method.is_filtered else []))
         for name in names if method.measures_distance else ():
             yield from _distance_columns(name)
