@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.recordings.label_rows import F_PX, label_row as row
+from track_range.cli.commands.evaluate.motion import _cell_grids
 from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.evaluation.motion.cells import motion_cells, quantity_figures, worst_drive
 from track_range.evaluation.motion.labelled_motion import kitti_motion, track_slopes
@@ -187,8 +188,21 @@ def test_exact_boxes_give_the_true_motion(labels_calib_poses, cli, tmp_path):
     assert closing["turn, speed known"]["n"] == closing["camera stands"]["n"] == 0
     assert figures["drives"]["closing"] == {"0001": closing["all"]}
     assert figures["worst_drives"]["closing"] == "0001"
-    assert "0001 (worst)" in printed
+    assert "by cell" in printed
+    assert "by drive" not in printed
     assert figures["cells"]["ttc"]["all"]["within_3_sigma"] > 0.9
+
+
+def test_drives_are_printed_where_there_are_several():
+    none = {"closing": {}, "speed": {}, "ttc": {}}
+    drives = {"0001": {"n": 60}, "0002": {"n": 70}}
+    figures = {
+        "cells": none,
+        "drives": none | {"closing": drives},
+        "worst_drives": {"closing": "0002", "speed": None, "ttc": None},
+    }
+    (grid,) = _cell_grids(figures)
+    assert [row[0].text for row in grid.rows] == ["0001", "0002 (worst)"]
 
 
 def test_look_ahead_answers_more(labels_calib_poses):

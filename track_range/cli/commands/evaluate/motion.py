@@ -90,14 +90,15 @@ def _grids(figures: Mapping[str, Any]) -> Iterator[tables.Grid]:
 
 
 def _cell_grids(figures: Mapping[str, Any]) -> Iterator[tables.Grid]:
-    """Tables by cell, of those with boxes, and then by drive."""
-    for by, corner in (("cell", "objects"), ("drive", "drive")):
+    """Tables by cell, of those with boxes, and then by drive, of several drives."""
+    for by, corner, fewest in (("cell", "objects", 1), ("drive", "drive", 2)):
         for name, title in _QUANTITIES.items():
             worst = figures["worst_drives"][name] if by == "drive" else None
             rows = {key: row for key, row in figures[f"{by}s"][name].items() if row["n"]}
             names = [f"{key} (worst)" if key == worst else key for key in rows]
             columns = tables.columns_of(rows.values(), _CELL)
-            yield tables.grid_of(f"{title}, by {by}", corner, names, columns)
+            if len(rows) >= fewest:
+                yield tables.grid_of(f"{title}, by {by}", corner, names, columns)
 
 
 app = command(MotionOptions, _motion)
