@@ -72,7 +72,7 @@ def test_nothing_found(cli, video):
     summary, printed, speeds = run(cli, video)
     assert summary["ego_speed"] is None
     assert set(speeds) == {""}
-    assert "The ego speed is unknown: the motion of the road" in printed
+    assert "The ego speed is unknown: no frame shows it by the motion of the road" in printed
     assert "The ego speed comes" not in printed
     without = run(cli, video, "--ego-speed", "off", out="off")
     assert without[2] == speeds
