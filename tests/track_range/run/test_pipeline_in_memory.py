@@ -321,8 +321,8 @@ def test_numbers_of_numpy_and_names_of_arguments(plain_drive: Drive) -> None:
         assert (
             pipeline.step(left.image, np.float64(0.0), ego_speed_mps=np.float32(10)).ego_mps == 10.0
         )
-        # NaN: the same image again shows a camera at rest
-        assert pipeline.step(left.image, 0.1, ego_speed_mps=math.nan).ego_mps == 0.0
+        # NaN: a speed that is not given is predicted for a moment
+        assert pipeline.step(left.image, 0.1, ego_speed_mps=math.nan).ego_mps == 10.0
         for arguments, name in (
             ((None, 0.2), "image"),
             ((left.image, "0.2"), "time_s"),
