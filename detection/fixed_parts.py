@@ -9,8 +9,9 @@ energy that is always the same,
     c = (N |mean g|^2 - mean |g|^2) / ((N - 1) mean |g|^2),
 
 is 1 for what never changes and 0 in the mean for independent images (as in the search for
-watermarks of Dekel et al., 2017). An image is compared when most of the textured image has changed since the
-one before: while the camera stands, parked cars are as still as text, and nothing is learnt.
+watermarks of Dekel et al., 2017). An image is compared when most of the textured image has changed
+since the one before: while the camera stands, parked cars are as still as text, and nothing is
+learnt.
 
 A box is no road user if most of the texture that it shows now is fixed. Texture is counted in small
 blocks, since letters have more contrast than a car behind them.

@@ -151,7 +151,8 @@ class FilterBank(NamedTuple):
         """(rows, N) the state for `TrackState`.
 
         The first 20 M G rows are of the models, (20, M, G, N): d v P_dd P_dv P_vv, probability, V,
-        k P_dk P_vk P_kk, r P_dr P_vr P_rr, a P_da P_va P_aa P_ra; the last 8 M are the history, (8, M, 1, N).
+        k P_dk P_vk P_kk, r P_dr P_vr P_rr, a P_da P_va P_aa P_ra; the last 8 M are the history,
+        (8, M, 1, N).
         """
         side, key = self.side, self.key
         if side is None:

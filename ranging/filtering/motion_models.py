@@ -1,8 +1,8 @@
 """InteractingModels: how an object may move, with a filter and a probability for each model.
 
     static         own speed 0: v = -V, but by sizes that are wrong by s, v = -(1 + s) V
-    moving         the own speed v + V changes by accelerations that last (`OwnAcceleration`), calm or agile:
-                   with a small or a large standard deviation sigma_a
+    moving         the own speed v + V changes by accelerations that last (`OwnAcceleration`), calm
+                   or agile: with a small or a large standard deviation sigma_a
 
 The four steps of Blom and Bar-Shalom (The interacting multiple model algorithm, 1988), for the
 models g of a track with the probabilities w_g:

@@ -22,11 +22,11 @@ The size of an object is wrong by one factor 1 + s as long as it is seen from on
 distance and the lateral offset in proportion, and their rates as well; the rate of a static object
 is the ego speed, whatever its size:
 
-    P_gg += s^2 g^2        P_gv += m s^2 g v        P_vv += m s^2 v^2        m: probability that it moves
+    P_gg += s^2 g^2        P_gv += m s^2 g v        P_vv += m s^2 v^2        m: that it moves
     P_oo += s^2 o^2        P_oo' += s^2 o o'        P_o'o' += s^2 o'^2
 
-o and o' are constant for static objects and for all vehicles that follow the road. Traffic lights and signs have
-no probability of contact: they hang above the road, or are beside it.
+o and o' are constant for static objects and for all vehicles that follow the road. Traffic lights
+and signs have no probability of contact: they hang above the road, or are beside it.
 """
 
 import math
@@ -83,13 +83,13 @@ _JUMP_SIGMA = 3.0
 # of road users, and across the path of vehicles and people; above, the track is wrong
 _MAX_SPEED_MPS, _MAX_ACCELERATION_MPS2 = 70.0, 15.0
 _MAX_LATERAL_MPS, _MAX_RUNNING_MPS = 12.0, 5.0
-# distance from the ego path, in standard deviations, beyond which a vehicle is beside it, so that it
-# may cut in
+# distance from the ego path, in standard deviations, beyond which a vehicle is beside it, so that
+# it may cut in
 _BESIDE_SIGMA = 2.0
 # static below this speed along the road; prior sigma of moving objects
 _STATIC_MPS, _MOVING_MPS = 2.0, 8.0
-# fraction of objects whose lateral speed is not that of the prior: they cross or turn in; and the prior
-# standard deviations of speeds without a preference, of vehicles and people
+# fraction of objects whose lateral speed is not that of the prior: they cross or turn in; and the
+# prior standard deviations of speeds without a preference, of vehicles and people
 _FREE_FRACTION = 0.1
 _FREE_LATERAL_MPS, _FREE_PERSON_MPS = 6.0, 3.0
 _FREE_ALONG_MPS = 5.0  # the same along the road, of people who ride or run
@@ -128,8 +128,8 @@ _LATERAL_MPS, _STATIC_LATERAL_MPS, _ONCOMING_LATERAL_MPS = 1.0, 0.15, 0.3
 _PERSON_LATERAL_MPS, _PERSON_ALONG_MPS = 1.5, 1.5
 # random walk of the lateral jerk of the ego path, m/s^3 per square root of a second, and the same
 # per m/s^2 of recent lateral acceleration, since a driver who steers goes on steering: with
-# `_BENDS_S`, the largest likelihood of the paths of the twelve KITTI drives with poses at 1.5 to 3 s
-# ahead (of either half of them: 0.01 and 0.08, 0.67 and 0.96; 0.48 and 0.56 s)
+# `_BENDS_S`, the largest likelihood of the paths of the twelve KITTI drives with poses at 1.5 to
+# 3 s ahead (of either half of them: 0.01 and 0.08, 0.67 and 0.96; 0.48 and 0.56 s)
 _LATERAL_JERK_NOISE, _WINDING_NOISE = 0.04, 0.9
 
 
@@ -292,10 +292,8 @@ class CollisionWarning:
         own, starts = self._own_motion(state, last, time_s, is_known)
 
         # Position relative to the ego path.
-        scale_variance = _scale_variance(motion)
         gap = without_lag(state, own.v - motion.own_mps2, own.P_vv)
-        gap = _with_scale(gap, scale_variance, moving=self._moving(motion))
-        offset = self._offset(tracks, gap, _with_scale(lateral.state, scale_variance))
+        gap, offset = self._position(tracks, motion, gap, lateral.state)
         half_width_m = lateral.half_width_m + settings.ego_width_m / 2
         is_beside = np.abs(offset.x) > half_width_m + _BESIDE_SIGMA * np.sqrt(offset.P_xx)
         beside_s = np.where(is_known & is_beside, time_s, last.beside_s)
@@ -336,12 +334,23 @@ class CollisionWarning:
         self._tracks.put(tracks.track_id, np.array(new), keep_known=time_s - known_s <= _MAX_GAP_S)
         return Warnings(probability, active, offset.x, np.sqrt(offset.P_xx))
 
+    def _position(
+        self, tracks: Tracks, motion: FilteredRanges, gap: ConstantVelocity, x: ConstantVelocity
+    ) -> tuple[ConstantVelocity, ConstantVelocity]:
+        """The distances, and the lateral offsets from the ego path of objects at x from the camera,
+        with the error of their scale.
+        """
+        scale_variance = _scale_variance(motion)
+        gap = _with_scale(gap, scale_variance, moving=self._moving(motion))
+        return gap, self._offset(tracks, gap, _with_scale(x, scale_variance))
+
     def _with_prior_speed(self, state: ConstantVelocity, is_person: BoolArray) -> ConstantVelocity:
         """The distances and rates, with the prior speed of people along the road."""
         if not self._ego.has_speed or not is_person.any():
             return state
-        sigmas_mps = _PERSON_ALONG_MPS, _FREE_ALONG_MPS
-        people = _with_rate(state, -self._ego.speed_mps, *map(np.array, sigmas_mps))
+        people = _with_rate(
+            state, -self._ego.speed_mps, np.array(_PERSON_ALONG_MPS), np.array(_FREE_ALONG_MPS)
+        )
         return ConstantVelocity(*np.where(is_person, people.columns, state.columns))
 
     def _moving(self, motion: FilteredRanges) -> FloatArray | float:
@@ -538,9 +547,8 @@ def _is_plausible(objects: _Objects) -> BoolArray:
 
 def _scale_variance(motion: FilteredRanges) -> FloatArray:
     """(N,) variance s^2 of the relative error that all distances of a track have in common."""
-    state = motion.state
-    common_m2 = np.maximum(motion.ranges.sigma_m**2 - state.P_xx, 0.0)
-    return np.asarray(common_m2 / state.x**2)
+    common_m2 = np.maximum(motion.ranges.sigma_m**2 - motion.state.P_xx, 0.0)
+    return np.asarray(common_m2 / motion.state.x**2)
 
 
 def _with_scale(
@@ -573,7 +581,8 @@ def _with_rate(
     state: ConstantVelocity, rate_mps: float, sigma_mps: FloatArray, free_mps: FloatArray
 ) -> ConstantVelocity:
     """The states after a pseudo-measurement of their rates, with the given sigma for most objects
-    and the larger sigma `free_mps` for a fraction `_FREE_FRACTION` of them: mean and covariance of both.
+    and the larger sigma `free_mps` for a fraction `_FREE_FRACTION` of them: mean and covariance of
+    both.
     """
     R = np.array(np.broadcast_arrays(sigma_mps, free_mps, state.v)[:2]) ** 2
     S = state.P_vv + R

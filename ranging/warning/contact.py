@@ -35,8 +35,8 @@ from track_range.foundation.constant_velocity import ConstantVelocity
 _N_STEPS = 12  # of the integral; with 256, 99 % of simulated probabilities differ by at most 0.004
 _MIN_SIGMA = 1e-3  # smallest standard deviation in m, against a division by zero
 _MIN_BRAKING_MPS = 1e-6  # smallest deceleration, against a division by zero
-# fraction of the vehicles beside the path that give way if they can; deceleration that half of these
-# would choose, and its scale, m/s^2
+# fraction of the vehicles beside the path that give way if they can; deceleration that half of
+# these would choose, and its scale, m/s^2
 _YIELDING, _YIELDING_MPS2, _YIELDING_SPREAD_MPS2 = 0.95, 3.0, 0.5
 _MIN_ROOM_M = 0.1  # smallest distance from the path, against a division by zero
 

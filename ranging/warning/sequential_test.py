@@ -19,8 +19,8 @@ a exp(-age / T_a): such tracks end soon. So p_k is the predicted probability tim
 
 To warn now costs C_f, with the probability 1 - P that there is no contact. To wait for dt costs the
 rise dC of the loss of a late warning, with the probability P. What a step can bring is new
-evidence, a fraction dt / T of what would be independent of the past; at best, it saves C_f. A further
-step is worth its wait while
+evidence, a fraction dt / T of what would be independent of the past; at best, it saves C_f. A
+further step is worth its wait while
 
     P dC/dt < (1 - P) C_f / T        <=>        P / (1 - P) < C_f / (T dC/dt)
 
@@ -51,8 +51,8 @@ _MOST_LOG_ODDS = 6.0
 # alpha and beta, of the largest likelihood on the same drives
 _OFFSET, _SLOPE = 0.9, 1.7
 HARD_MPS2 = 5.0  # B, of hard braking
-# fraction a of tracks with a predicted contact that are false in their first frame, and the time T_a
-# after which 1 / e of them are left, s
+# fraction a of tracks with a predicted contact that are false in their first frame, and the time
+# T_a after which 1 / e of them are left, s
 _FALSE_FRACTION, _FALSE_S = 0.9, 0.3
 
 

@@ -66,7 +66,7 @@ class Occurrence:
     warning: str  # "right", "tolerated" or "false"
 
     def standing(self, event: Event) -> str:
-        """What a warning is on this row: hit, late, tolerated, false_alarm; "" = it does not fit."""
+        """What a warning is on this row: hit, late, tolerated, false_alarm; "" = no fit."""
         is_rider = event.class_name == "person" and self.class_name in ("bicycle", "motorcycle")
         is_similar = is_rider or are_same_class(event.class_name, self.class_name)
         from_s = self.first_visible_s - self.tolerance_s

@@ -382,7 +382,7 @@ class EventFinder:
                 "time_s": time_s,
                 "frame": result.index,
                 "scale_in_doubt": in_doubt,
-                "has_pair": float(_has_pair(result)),
+                "is_by_pair": float(_is_by_pair(result, row)),
             }
 
     def _same(
@@ -425,9 +425,13 @@ def _follow(event: _Open, result: FrameResult, now: Situation) -> None:
         }
 
 
-def _has_pair(result: FrameResult) -> bool:
-    """Whether distances of a frame may be from two cameras."""
-    return any("right_image" in one.needs for one in methods() if one.name in result.ranges)
+def _is_by_pair(result: FrameResult, row: int) -> bool:
+    """Whether both cameras measured the distance of a track in a frame."""
+    return any(
+        bool(np.isfinite(result.ranges[one.name].distance_m[row]))
+        for one in methods()
+        if "right_image" in one.needs and one.name in result.ranges
+    )
 
 
 def _event(event: _Open) -> Event:
@@ -496,7 +500,7 @@ def _near(event: _Open) -> str:
     extremes = event.extremes
     gap_m, sigma_m = extremes["gap_m"], extremes["sigma_m"]
     smallest = _metres({"distance_m": gap_m, "sigma_m": sigma_m})
-    cameras = "two cameras" if event.peak["has_pair"] else "one camera"
+    cameras = "two cameras" if event.peak["is_by_pair"] else "one camera"
     sentence = (
         f"smallest gap to the front {smallest}, smallest time to contact "
         f"{extremes['ttc_front_s']:.1f} s{_predicted(extremes)}; by {cameras}."
@@ -507,7 +511,7 @@ def _near(event: _Open) -> str:
 
 
 def _metres(values: dict[str, float]) -> str:
-    """A distance with its standard deviation, which gives the decimals: "31 ± 2 m", "3.1 ± 0.5 m"."""
+    """A distance with its sigma, which gives the decimals: "31 ± 2 m", "3.1 ± 0.5 m"."""
     distance_m, sigma_m = values["distance_m"], values["sigma_m"]
     decimals = 0 if sigma_m >= 1 or (math.isnan(sigma_m) and distance_m >= 10) else 1
     sigma = f" ± {max(sigma_m, 0.1):.{decimals}f}" if math.isfinite(sigma_m) else ""

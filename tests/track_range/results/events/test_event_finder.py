@@ -275,6 +275,27 @@ def test_a_near_miss_says_whether_a_contact_is_within_its_errors(
     assert "(predicted probability over 99 %); by one camera." in reasons[0]
 
 
+@pytest.mark.parametrize(("stereo_m", "cameras"), [(4.0, "two cameras"), (math.nan, "one camera")])
+def test_a_near_miss_names_the_cameras_that_measured_it(stereo_m: float, cameras: str) -> None:
+    """A run with two cameras, which may not have measured this track."""
+
+    def results() -> Iterable[FrameResult]:
+        for i in range(40):
+            is_near = i < 14
+            seen = Seen(
+                distance_m=max(2.5, 9.0 - 0.5 * i),
+                closing_mps=5.0 if is_near else 0.0,
+                probability=0.999 if is_near else 0.0,
+            )
+            result = frame(i, seen)
+            stereo = Ranges(result.tracks.track_id, np.array([stereo_m]), np.array([0.1]))
+            yield changed(result, ranges={**result.ranges, "stereo": stereo})
+
+    reasons = [event.reason for event in events_of(results()) if event.kind == "near_miss"]
+    assert len(reasons) == 1
+    assert f"; by {cameras}." in reasons[0]
+
+
 def test_no_sentence_states_what_a_video_does_not_show() -> None:
     """Each reason has a distance with its sigma, and contacts only as predictions."""
     events = [

@@ -5,7 +5,7 @@ rear-slower       a vehicle at a third to a half of the speed following       a 
 rear-braking      a vehicle ahead at 1.6 to 2.4 s brakes      oncoming        oncoming traffic in its lane, in bends
 crossing-adult    a person crosses from either side           overhead-sign   a gantry with a sign above the lane
 crossing-child    a child crosses from behind parked cars
-crossing-car      a vehicle comes out of a side road          yielding        vehicles brake at the mouths of side roads
+crossing-car      a vehicle comes out of a side road          yielding        vehicles stop at side roads
 
 The left column ends in a contact 5.5 to 7.5 s after the start; the seed varies speeds, the lateral
 overlap (at least half of the narrower one for vehicles, the middle half of the ego vehicle's width
