@@ -19,7 +19,8 @@ MOST_STATEMENTS = {
     # a second pass in the band around the horizon, and inputs of any width and height (101)
     # sizes that an input of fixed size does not take (3)
     # what never moves in the images, and the boxes on it (123)
-    "detection": 8_326,
+    # exact INT8 networks on CPUs without VNNI (1)
+    "detection": 8_327,
     # riders whose name changes (17)
     "tracking": 1_578,  # frames that could not show small objects (4)
     # packed assignments became a line for each value (50); the alignment below rigs (10); what a
