@@ -27,7 +27,7 @@ class EgoMotion:
     # standard deviation; NaN like the speed
     right_mps: float = 0.0
     right_sigma_mps: float = 0.0
-    is_predicted: bool = False  # whether the speed is that of an earlier frame
+    is_predicted: bool = False  # whether the speed has no measurement of its frame
     # the part of the standard deviation of the speed that is new in each frame; the rest lasts
     noise_mps: float = 0.0
     # factor of a given speed by the error of the focal length (`FocalScale`); NaN = not given

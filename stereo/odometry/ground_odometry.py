@@ -241,7 +241,7 @@ class GroundOdometry:
             self._direction.add(dt_s, side, motion.yaw_rad_s)
         self._still_s = self._still_s + dt_s if motion.is_near_still else 0.0
         # distant points stay in place in motion, too, and on a road without texture all seem to
-        is_sure = self._filter.is_known or self._still_s >= _REST_S
+        is_sure = self._filter.is_measured or self._still_s >= _REST_S
         shift_m, by_plane = 0.0 if motion.is_still and is_sure else math.nan, 0.0
         before = self._before(motion) if is_moving else self._past[-1]
         if is_moving and math.isfinite(self._side):
@@ -263,7 +263,13 @@ class GroundOdometry:
         if is_moving:
             self._measure_horizon(row)
         is_still = self._filter.is_rest(speed, shows_rest=motion.is_still)
-        return EgoMotion(*speed, motion.yaw_rad_s, is_still, noise_mps=self._filter.noise_mps)
+        return EgoMotion(
+            *speed,
+            motion.yaw_rad_s,
+            is_still,
+            noise_mps=self._filter.noise_mps,
+            is_predicted=not self._filter.is_measured,
+        )
 
     def _before(self, motion: ImageMotion) -> "_Picture":
         """The frame whose picture is compared: the earliest one that is near enough."""

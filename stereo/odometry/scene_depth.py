@@ -45,17 +45,15 @@ class SceneDepth:
         the images of the next frame, or else the speed by the depth of the scene, if a car reaches
         it from the speeds `before`; NaN = neither.
         """
-        speed_mps, noise_mps, lasting_mps = by_depth = self.speed(motion)
+        by_depth = self.speed(motion)
         if by_road[0] > 0 and self.fits(motion, by_road[0]):
             return by_road
         middle_s = motion.time_s - motion.dt_s / 2
         # also for NaN
-        if not speed_mps >= 0 or before.reaches(
-            middle_s, speed_mps, math.hypot(noise_mps, lasting_mps)
-        ):
+        if not by_depth[0] >= 0 or before.expects(middle_s, *by_depth[:2]):
             return by_depth
         self._variance, self._n_speeds = _UNKNOWN_SIGMA**2, 0
-        if before.reaches(middle_s, *by_road[:2]) and self.fits(motion, by_road[0]):
+        if before.expects(middle_s, *by_road[:2]) and self.fits(motion, by_road[0]):
             return by_road
         return math.nan, math.nan, math.nan
 
@@ -71,7 +69,7 @@ class SceneDepth:
         is_known = self._n_speeds >= _MIN_SPEEDS and sigma < _MAX_SIGMA
         if not (is_known and speed_mps > 0 and _noise(motion) < _MAX_NOISE):
             return math.nan, math.nan, math.nan
-        return speed_mps, _noise(motion) * speed_mps, sigma * speed_mps
+        return speed_mps, math.hypot(_noise(motion), sigma) * speed_mps, sigma * speed_mps
 
     def fits(self, motion: ImageMotion, speed_mps: float) -> bool:
         """Whether a speed by the road fits the expansion of the images; such a speed is learnt."""

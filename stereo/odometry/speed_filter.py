@@ -3,54 +3,94 @@ frames.
 
     x = [V, a]'    V, a: speed and acceleration at the middle of the interval between two frames
 
+Drivers accelerate and brake for about a time T, by about s (Singer, 1970): with e = exp(-dt / T),
+
+    predict    V' = V + T (1 - e) a     a' = e a     P' = F P F' + Q
+               Q = s^2 [[T^2 (2 dt / T - 3 + 4 e - e^2), T (1 - e)^2], [., 1 - e^2]]
+
 A mean speed over dt is the speed dt / 2 ago, so the result is predicted by dt / 2. The sigma of a
 measurement has an independent part, which averages out, and a systematic one, which is added at the
 output.
 
-A speed that no car reaches from the last one is that of something else: it is not used, the speed
-is predicted, soon unknown, and starts again with a speed that is within reach.
+An innovation that is no motion of a car is that of something else: the speed is predicted, soon
+unknown, and its sigma grows until the filter expects such a speed. A first speed that more
+measurements contradict than agree with was wrong itself, and the filter starts again.
 """
 
 import math
+from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 
-from track_range.foundation.constant_velocity import ConstantVelocity
+from track_range.foundation.arrays import FloatArray
+from track_range.stereo.odometry.ego_motion import PREDICTED_NOISE
 
-# random walk of the acceleration, m/s^2 per root of a second: a car brakes fully within 0.5 s
-_JERK_NOISE = 5.0
+# T, and s with which a predicted speed is as uncertain as anywhere else; three s are hard braking.
+# KITTI's drivers have 0.8 m/s^2 and 2 s, but do not brake fully.
+_ACCELERATION_S = 0.5
+_ACCELERATION_MPS2 = PREDICTED_NOISE / math.sqrt(2 * _ACCELERATION_S)
 _INITIAL_ACCELERATION_MPS2 = 3.0  # standard deviation of the acceleration at the start
-_MAX_GAP_S = 0.35  # longest time in seconds without a measurement; the speed is unknown after it
-_OUTLIER_SIGMA = 4.0  # innovations beyond this number of standard deviations are ignored
+# Longest time without a measurement for which a speed is predicted: filters of distances and
+# warnings go on with it. It is unknown after it.
+MAX_PREDICTED_S = 1.0
+# innovations beyond this number of standard deviations are not of the car, and those after one,
+# while something else shows
+_OUTLIER_SIGMA, _OTHER_SIGMA = 3.0, 2.0
+_BRAKING_MPS2, _ONSET_S = 10.0, 0.1  # full braking on a dry road, and the time in which it begins
 # distance between two frames from which a first speed is not used until a second one agrees
 _LARGE_STEP_M = 4.0
-# weight of one measurement in the spread of the measurements, and largest spread of one
-_SPREAD_GAIN, _MAX_SPREAD2 = 0.15, 400.0
-# number of consecutive outliers within reach after which the filter starts again
-_MAX_OUTLIERS = 3
-# of a car that brakes fully on a dry road, and of a fast one that pulls away
-_MAX_BRAKING_MPS2, _MAX_ACCELERATION_MPS2 = 10.0, 6.0
-_USUAL_MPS2 = 3.0  # of a car whose speed is unknown: full braking is rare
-_REACH_SIGMA = 3.0  # errors of two speeds that may lie between them besides an acceleration
-_MAX_REACH_SPREAD2 = 4.0  # largest spread in them, and of a speed out of reach
+# weight of one measurement in the spread of the measurements, largest spread of one, and that of an
+# outlier
+_SPREAD_GAIN, _MAX_SPREAD2, _OUTLIER_SPREAD2 = 0.15, 400.0, 4.0
+_N_SURE = 3  # number of measurements that agree after which a speed is not given up for others
 _REST_MPS = 0.3  # largest speed of a camera that images show at rest
+
+
+class _State(NamedTuple):
+    """Speed and acceleration (2,) at a time, and their covariance (2, 2)."""
+
+    time_s: float
+    mean: FloatArray
+    P: FloatArray
+
+    def predicted(self, time_s: float) -> "_State":
+        """The state at a later time."""
+        s2, T = _ACCELERATION_MPS2**2, _ACCELERATION_S
+        dt_s = time_s - self.time_s
+        e = math.exp(-dt_s / T)
+        F = np.array([[1.0, T * (1 - e)], [0.0, e]])
+        Q_VV, Q_Va, Q_aa = T**2 * (2 * dt_s / T - 3 + 4 * e - e**2), T * (1 - e) ** 2, 1 - e**2
+        Q = s2 * np.array([[Q_VV, Q_Va], [Q_Va, Q_aa]])
+        return _State(time_s, F @ self.mean, F @ self.P @ F.T + Q)
+
+    def updated(self, innovation_mps: float, sigma_mps: float) -> "_State":
+        """The state after a measurement of the speed."""
+        gain = self.P[:, 0] / (self.P[0, 0] + sigma_mps**2)
+        P = self.P - np.outer(gain, self.P[0])
+        return self._replace(mean=self.mean + gain * innovation_mps, P=P)
+
+    @property
+    def sigma_mps(self) -> float:
+        """Standard deviation of the speed."""
+        return math.sqrt(float(self.P[0, 0]))
 
 
 class SpeedFilter:
     """Filters the speeds of one stream; the state belongs to the instance."""
 
     def __init__(self) -> None:
-        self._state: ConstantVelocity | None = None
-        self._middle_s = self._measured_s = -math.inf
-        # speed by the last measurement that was used, and its standard deviation; NaN = none
-        self._known_mps = self._known_sigma_mps = math.nan
-        # consecutive outliers; measurements since the start that agree
-        self._n_outliers = self._n_measured = 0
+        self._state: _State | None = None
+        self._measured_s = -math.inf  # middle of the last measurement that was used
+        # measurements since the start that agree; outliers since the last one of these
+        self._n_agreed = self._n_outliers = 0
+        self._latest: deque[tuple[float, float]] = deque()  # the last two of them: middle and speed
         self._systematic_mps = math.nan
         # ratio of the variance of the measurements to the expected one, at least 1
         self._spread2 = 1.0
         # the part of the last standard deviation that is new in each frame
         self.noise_mps = 0.0
+        self.is_measured = False  # whether a measurement of the last frame was used
 
     def update(
         self, time_s: float, dt_s: float, speed_mps: float, sigma_mps: float, systematic_mps: float
@@ -62,42 +102,31 @@ class SpeedFilter:
         frames.
         """
         middle_s = time_s - dt_s / 2
-        if middle_s - self._measured_s > _MAX_GAP_S:
-            self._state = None
         if self._state is not None:
-            self._state = self._state.predict(
-                np.array([middle_s - self._middle_s]), q=_JERK_NOISE**2
-            )
-        self._middle_s = middle_s
-        if math.isfinite(speed_mps) and self._add(middle_s, speed_mps, sigma_mps):
-            self._systematic_mps = systematic_mps
-        if self._state is None or (
-            self._n_measured < 2 and abs(self._state.x[0] * dt_s) > _LARGE_STEP_M
-        ):
+            self._state = self._state.predicted(max(middle_s, self._state.time_s))
+        self.is_measured = math.isfinite(speed_mps) and self._add(middle_s, speed_mps, sigma_mps)
+        if self.is_measured:
+            self._measured_s, self._systematic_mps = middle_s, systematic_mps
+        if self._state is None or middle_s - self._measured_s > MAX_PREDICTED_S:
             return math.nan, math.nan
-        now = self._state.predict(np.array([dt_s / 2]), q=_JERK_NOISE**2)
-        self.noise_mps = math.sqrt(float(now.P_xx[0]))
-        return float(now.x[0]), math.hypot(self.noise_mps, self._systematic_mps)
+        if self._n_agreed < 2 and abs(self._state.mean[0] * dt_s) > _LARGE_STEP_M:
+            return math.nan, math.nan
+        now = self._state.predicted(time_s)
+        self.noise_mps = now.sigma_mps
+        return float(now.mean[0]), math.hypot(self.noise_mps, self._systematic_mps)
 
-    @property
-    def is_known(self) -> bool:
-        """Whether the speed was known in the last frame."""
-        return self._state is not None
-
-    def reaches(self, middle_s: float, speed_mps: float, sigma_mps: float) -> bool:
-        """Whether a car can have a speed at a time after the last one; True without a last one,
-        False for NaN.
+    def expects(self, middle_s: float, speed_mps: float, sigma_mps: float) -> bool:
+        """Whether a speed at a time is one of the same car; True without an earlier one, False for
+        NaN.
         """
-        if math.isnan(self._known_mps):
+        if self._state is None:
             return math.isfinite(speed_mps)
-        wide_mps = sigma_mps * math.sqrt(min(self._spread2, _MAX_REACH_SPREAD2))
-        error_mps = _REACH_SIGMA * math.hypot(wide_mps, self._known_sigma_mps)
-        is_slower = abs(speed_mps) < abs(self._known_mps)
-        limit_mps2 = _MAX_BRAKING_MPS2 if is_slower else _MAX_ACCELERATION_MPS2
-        span_s = middle_s - self._measured_s
-        if span_s > _MAX_GAP_S:  # the images were wrong before, and may still be
-            limit_mps2 = _USUAL_MPS2
-        return abs(speed_mps - self._known_mps) <= limit_mps2 * span_s + error_mps
+        state = self._state.predicted(max(middle_s, self._state.time_s))
+        n_sigma = _OUTLIER_SIGMA if self._n_outliers == 0 else _OTHER_SIGMA
+        # a driver may have begun to brake at the last measurement
+        braked_mps = _BRAKING_MPS2 * min(middle_s - self._measured_s, _ONSET_S)
+        limit_mps = n_sigma * math.hypot(state.sigma_mps, sigma_mps) + braked_mps
+        return abs(speed_mps - float(state.mean[0])) <= limit_mps
 
     def is_rest(self, speed: tuple[float, float], *, shows_rest: bool) -> bool:
         """Whether images of a camera at rest agree with a speed of `update`; False if unknown."""
@@ -105,34 +134,42 @@ class SpeedFilter:
 
     def _add(self, middle_s: float, speed_mps: float, sigma_mps: float) -> bool:
         """Use a measurement unless it is an outlier; whether it was used."""
-        is_in_reach = self.reaches(middle_s, speed_mps, sigma_mps)
-        if self._state is None:
-            if is_in_reach:
-                self._start(middle_s, speed_mps, sigma_mps)
-            return is_in_reach
-        innovation = np.array([speed_mps]) - self._state.x
-        excess = float((innovation[0] ** 2 - self._state.P_xx[0]) / sigma_mps**2)
-        largest = _MAX_SPREAD2 if is_in_reach else _MAX_REACH_SPREAD2
+        state = self._state
+        if state is None:
+            self._start(middle_s, speed_mps, sigma_mps)
+            return True
+        innovation_mps = speed_mps - float(state.mean[0])
+        is_expected = self.expects(middle_s, speed_mps, sigma_mps * math.sqrt(self._spread2))
+        scatter2 = _OUTLIER_SPREAD2
+        if is_expected:
+            scatter2 = min(self._scatter2(middle_s, speed_mps) / sigma_mps**2, _MAX_SPREAD2)
         own = (1 - _SPREAD_GAIN) * self._spread2
-        self._spread2 = max(1.0, own + _SPREAD_GAIN * min(excess, largest))
+        self._spread2 = max(1.0, own + _SPREAD_GAIN * scatter2)
         wide_mps = sigma_mps * math.sqrt(self._spread2)
-        limit_mps = _OUTLIER_SIGMA * math.sqrt(self._state.P_xx[0] + wide_mps**2)
-        if is_in_reach and abs(innovation[0]) <= limit_mps:
-            state = self._state.update(innovation, np.array([wide_mps**2]))
-            self._go_on(state, middle_s, self._n_measured + 1)
+        if is_expected:
+            self._state = state.updated(innovation_mps, wide_mps)
+            self._latest.append((middle_s, speed_mps))
+            self._n_agreed, self._n_outliers = self._n_agreed + 1, 0
             return True
         self._n_outliers += 1
-        is_start = is_in_reach and self._n_outliers >= _MAX_OUTLIERS
-        if is_start:
+        was_wrong = self._n_agreed < min(self._n_outliers, _N_SURE)
+        if was_wrong:
             self._start(middle_s, speed_mps, wide_mps)
-        return is_start
+        return was_wrong
 
     def _start(self, middle_s: float, speed_mps: float, sigma_mps: float) -> None:
-        values = (speed_mps, 0.0, sigma_mps**2, 0.0, _INITIAL_ACCELERATION_MPS2**2)
-        self._go_on(ConstantVelocity(*(np.array([value]) for value in values)), middle_s, 1)
+        P = np.diag([sigma_mps**2, _INITIAL_ACCELERATION_MPS2**2])
+        self._state = _State(middle_s, np.array([speed_mps, 0.0]), P)
+        self._latest = deque([(middle_s, speed_mps)], 2)
+        self._n_agreed, self._n_outliers = 1, 0
 
-    def _go_on(self, state: ConstantVelocity, middle_s: float, n_measured: int) -> None:
-        """Go on with a state that contains a measurement."""
-        self._state, self._measured_s = state, middle_s
-        self._known_mps, self._known_sigma_mps = float(state.x[0]), math.sqrt(float(state.P_xx[0]))
-        self._n_outliers, self._n_measured = 0, n_measured
+    def _scatter2(self, middle_s: float, speed_mps: float) -> float:
+        """Variance of the measurements by the distance of the last one from the line through its
+        neighbours, which a steady acceleration does not move; 0 = unknown.
+        """
+        if len(self._latest) < 2:
+            return 0.0
+        (first_s, first_mps), (last_s, last_mps) = self._latest
+        weight = (last_s - first_s) / max(middle_s - first_s, 1e-6)
+        between_mps = (1 - weight) * first_mps + weight * speed_mps
+        return (last_mps - between_mps) ** 2 / (1 + weight**2 + (1 - weight) ** 2)

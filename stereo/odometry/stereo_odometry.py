@@ -245,9 +245,13 @@ class StereoOdometry:
                     yaw_rad / dt_s,
                     self._filter.is_rest(filtered, shows_rest=shows_rest),
                     noise_mps=self._filter.noise_mps,
+                    is_predicted=not self._filter.is_measured,
                 )
         # without a measurement: the predicted speed, for a short time
-        return EgoMotion(*self._filter.update(frame.time_s, dt_s, math.nan, math.nan, math.nan))
+        filtered = self._filter.update(frame.time_s, dt_s, math.nan, math.nan, math.nan)
+        return EgoMotion(
+            *filtered, noise_mps=self._filter.noise_mps, is_predicted=not self._filter.is_measured
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -80,7 +80,7 @@ def test_clouds_behind_the_last_house_are_no_rest(has_road):
         speeds_mps.append(motion.speed_mps)
     known = np.isfinite(speeds_mps)
     assert np.abs(np.array(speeds_mps)[known][4:] - 8.0).max() < 0.6
-    assert known[20:].mean() > 0.9 if has_road else not known[25:].any()
+    assert known[20:].mean() > 0.9 if has_road else not known[31:].any()
 
 
 def test_pitch_of_a_camera_that_looks_aside_is_measured():

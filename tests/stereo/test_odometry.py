@@ -102,7 +102,7 @@ def test_filter_follows_braking():
     for k in range(1, 31):
         mean_mps = 20.0 - 5.0 * (k - 0.5) * 0.1
         kalman.append(speeds.update(0.1 * k, 0.1, mean_mps, 0.05, 0.0)[0])
-    assert kalman[-1] == pytest.approx(5.0, abs=0.03)
+    assert kalman[-1] == pytest.approx(5.0, abs=0.05)
 
 
 def test_filter_ignores_one_outlier_and_bridges_gaps():
@@ -111,8 +111,10 @@ def test_filter_ignores_one_outlier_and_bridges_gaps():
         speeds.update(0.1 * k, 0.1, 10.0, 0.05, 0.0)
     assert speeds.update(1.0, 0.1, 30.0, 0.05, 0.0)[0] == pytest.approx(10.0, abs=0.1)
     assert speeds.update(1.1, 0.1, math.nan, math.nan, math.nan)[0] == pytest.approx(10.0, abs=0.1)
+    assert not speeds.is_measured
     assert math.isnan(speeds.update(2.0, 0.1, math.nan, math.nan, math.nan)[0])
-    assert speeds.update(2.1, 0.1, 12.0, 0.05, 0.0)[0] == pytest.approx(12.0)
+    assert speeds.update(2.1, 0.1, 12.0, 0.05, 0.0)[0] == pytest.approx(12.0, abs=0.1)
+    assert speeds.is_measured
 
 
 def filtered(speeds_mps, dt_s, sigma_mps=0.2):
@@ -126,13 +128,13 @@ def filtered(speeds_mps, dt_s, sigma_mps=0.2):
 @pytest.mark.parametrize("wrong_mps", [0.0, 0.7, 40.0])
 def test_filter_uses_no_speed_that_a_car_does_not_reach(wrong_mps):
     """At 15 m/s, something else shows another speed for a second: predicted, then unknown."""
-    speeds_mps, sigmas_mps = filtered([15.0] * 20 + [wrong_mps] * 30 + [15.0] * 10, 1 / 30).T
-    during = speeds_mps[20:50]
+    speeds_mps, sigmas_mps = filtered([15.0] * 20 + [wrong_mps] * 50 + [15.0] * 10, 1 / 30).T
+    during = speeds_mps[20:70]
     assert np.abs(during[np.isfinite(during)] - 15.0).max() < 0.5
-    assert np.isfinite(during[:10]).all()
+    assert np.isfinite(during[:29]).all()
     assert np.isnan(during[-10:]).all()
-    assert (np.diff(sigmas_mps[20:30]) > 0).all()
-    assert np.abs(speeds_mps[50:] - 15.0).max() < 0.2  # known again at once
+    assert (np.diff(sigmas_mps[20:48]) > 0).all()
+    assert np.abs(speeds_mps[71:] - 15.0).max() < 0.3  # known again at once
 
 
 @pytest.mark.parametrize("dt_s", [1 / 30, 0.1])
@@ -149,14 +151,22 @@ def test_filter_follows_a_car_that_brakes_fully_to_rest_and_starts_again(dt_s):
 
 
 def test_filter_takes_another_speed_when_a_car_has_had_the_time_for_it():
-    """15 m/s, unknown for a time, then rest: after 5 s of usual braking."""
+    """15 m/s, predicted, unknown, then rest: when two standard deviations of what drivers do,
+    2.5 m/s per root of a second, are 15 m/s."""
     speeds = SpeedFilter()
     for k in range(10):
         speeds.update(0.1 * k, 0.1, 15.0, 0.1, 0.0)
-    late = [speeds.update(1.0 + 0.1 * k, 0.1, 0.0, 0.1, 0.0)[0] for k in range(60)]
-    first = int(np.argmax(np.asarray(late) == 0.0))
-    assert 44 <= first <= 51
-    assert np.abs(late[first:]).max() < 0.01
+    late = np.array([speeds.update(1.0 + 0.1 * k, 0.1, 0.0, 0.1, 0.0)[0] for k in range(110)])
+    unknown = np.flatnonzero(np.isnan(late))
+    assert 8 <= unknown[0] <= 11
+    assert 75 <= unknown[-1] <= 95
+    assert np.abs(late[unknown[-1] + 1 :]).max() < 0.3
+
+
+def test_first_speed_that_others_contradict_was_wrong():
+    """40 m/s once, then 10 m/s: more measurements contradict the first one than agree with it."""
+    late_mps = filtered([40.0, *[10.0] * 5], 1 / 30)[:, 0]
+    assert np.abs(late_mps[3:] - 10.0).max() < 0.01
 
 
 def in_camera(share_of_clouds, moved_m, seed=0):

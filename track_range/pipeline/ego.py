@@ -16,12 +16,10 @@ from track_range.stereo.odometry.ego_motion import (
 )
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
+from track_range.stereo.odometry.speed_filter import MAX_PREDICTED_S
 from track_range.stereo.speed.ego_speed import EgoSpeed
 from track_range.stereo.speed.given_speed import GivenSpeed
 
-# Longest time without a measurement for which a measured speed is predicted: filters of distances
-# and warnings go on with it, and its error grows by what cars usually accelerate and brake.
-_MAX_PREDICTED_S = 1.0
 # of the speed of the road with a height that is not given, for notes
 _BY_SIZES = "with an estimated height of the camera"
 _SLOPES = 0.06  # of the speed by the motion of the road, by slopes, which last for some seconds
@@ -168,7 +166,7 @@ class EgoStage:
         growing error, for a short time; `focal` stretches what is given.
         """
         last_s, last = self._last
-        yaw_rad_s = last.yaw_rad_s if time_s - last_s <= _MAX_PREDICTED_S else math.nan
+        yaw_rad_s = last.yaw_rad_s if time_s - last_s <= MAX_PREDICTED_S else math.nan
         motion = EgoMotion(yaw_rad_s=yaw_rad_s, is_still=last.is_still)
         given = self._given(time_s, known)
         used = None
@@ -186,11 +184,12 @@ class EgoStage:
         if given is not None and trusts_given and math.isfinite(given.speed_mps):
             motion = replace(given, yaw_rad_s=motion.yaw_rad_s, is_still=motion.is_still)
         if math.isfinite(motion.speed_mps):
-            self._known = time_s, motion
+            if not motion.is_predicted:
+                self._known = time_s, motion
             return motion
         known_s, known = self._known
         is_doubted = math.isfinite(known.stretch) and not trusts_given
-        if is_doubted or not time_s - known_s <= _MAX_PREDICTED_S:  # also without a known speed
+        if is_doubted or not time_s - known_s <= MAX_PREDICTED_S:  # also without a known speed
             return motion
         grown_mps = PREDICTED_NOISE * math.sqrt(time_s - known_s)
         return replace(
