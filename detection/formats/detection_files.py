@@ -200,7 +200,7 @@ def _tracks_csv_rows(path: Path) -> _Rows:
     table.require((*expected, "class"))
     cells = np.stack([table.finite(name) for name in expected], axis=1)
     is_frame = (np.abs(cells[:, 0]) <= MAX_FRAME) & (np.rint(cells[:, 0]) == cells[:, 0])
-    table.check("frame", cells[:, 0], is_frame, f"an integer from 0 to {MAX_FRAME}")
+    table.check("frame", is_frame, f"an integer from 0 to {MAX_FRAME}")
     observed = cells[:, 6] == 1
     names = np.array(table.texts("class"), np.str_)[observed]
     cells = cells[observed]

@@ -139,7 +139,7 @@ def _checked_numbers(table: CsvTable) -> dict[str, FloatArray]:
         if name in _POSITIVE:
             is_valid &= values > 0
             expected = "positive"
-        table.check(name, values, is_valid, f"a {expected} number up to {high:,.0f}")
+        table.check(name, is_valid, f"a {expected} number up to {high:,.0f}")
     return numbers
 
 

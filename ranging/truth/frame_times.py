@@ -82,7 +82,7 @@ def _read_times(path: Path) -> FloatArray:
         time_s = table.finite(_COLUMN)
         if "frame" in table:
             frame = table.finite("frame")
-            table.check("frame", frame, frame == np.arange(len(frame)), "every frame from 0 on")
+            table.check("frame", frame == np.arange(len(frame)), "every frame from 0 on")
     else:
         text = read_text(path, LabelFileError, "times of frames", max_bytes=MAX_TABLE_BYTES)
         time_s = np.array([_seconds(line, path) for line in text.splitlines() if line.strip()])

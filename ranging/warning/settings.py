@@ -1,6 +1,8 @@
-"""WarningSettings: thresholds of the collision warning, without imports, for help pages."""
+"""WarningSettings: thresholds of the collision warning, without NumPy, for help pages."""
 
 from dataclasses import dataclass
+
+from track_range.foundation.schemas.validation import check_numbers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,3 +53,6 @@ class WarningSettings:
     ego_length_m: float = 4.2
     min_deceleration_mps2: float = 2.5
     reaction_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_numbers(self)

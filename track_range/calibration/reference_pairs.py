@@ -225,7 +225,7 @@ def _of_table(path: Path, rig: StereoRig) -> KnownObjects:
     frame, value = table.finite("frame"), table.finite(given[0])
     box = np.stack([table.finite(name) for name in _BOX], axis=1)
     low, high = _PLAUSIBLE[given[0]]
-    table.check(given[0], value, (value >= low) & (value <= high), f"{low:g} .. {high:g}")
+    table.check(given[0], (value >= low) & (value <= high), f"{low:g} .. {high:g}")
     for row in np.flatnonzero(~(are_valid_boxes(box) & are_plausible_boxes(box)))[:1].tolist():
         raise table.fault(
             row,
@@ -243,4 +243,4 @@ def _of_table(path: Path, rig: StereoRig) -> KnownObjects:
 def _check_integers(table: CsvTable, name: str, low: int, high: int) -> None:
     values = table.numbers(name)
     is_valid = (values >= low) & (values <= high) & (np.rint(values) == values)
-    table.check(name, values, is_valid, f"an integer from {low} to {high}")
+    table.check(name, is_valid, f"an integer from {low} to {high}")

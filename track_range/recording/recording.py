@@ -82,6 +82,13 @@ class Recording:
         self.frames.close()
         return replace(self, opened=opened, frames=frames)
 
+    def near_keyframes(self, burst_s: float) -> Recording:
+        """The recording, of which no frame was read, with the images up to a time after each
+        keyframe alone; see `Video.burst_s`.
+        """
+        self.videos[0].whole.burst_s = burst_s
+        return self
+
     @property
     def camera(self) -> PinholeCamera:
         """Model of the left or only camera of the rectified frames."""

@@ -161,5 +161,5 @@ def _numbers(table: CsvTable, name: str, is_region: npt.NDArray[np.bool_]) -> Fl
         is_valid |= np.array([cell.lower() in ("", "nan") for cell in table.texts(name)], np.bool_)
     if name not in ("frame", *_BOX):
         is_valid |= is_region
-    table.check(name, values, is_valid, expected)
+    table.check(name, is_valid, expected)
     return values

@@ -188,6 +188,16 @@ def test_faults_of_a_row(tmp_path, old, new, words):
     assert str(error.value).count(". ") == 0
 
 
+def test_a_right_warning_needs_a_conflict(tmp_path):
+    path = tmp_path / "events.csv"
+    path.write_text("class,first_visible_s,nearest_s,warning\ncar,1,3,false\ncar,1,3,right\n")
+    expected = (
+        "line 3: expected seconds from first_visible_s for conflict_s, got no column conflict_s"
+    )
+    with pytest.raises(EventFileError, match=expected):
+        read_occurrences(path)
+
+
 @pytest.mark.parametrize("name", ["class", "first_visible_s", "nearest_s", "warning"])
 def test_a_missing_column(tmp_path, name):
     path = tmp_path / "events.csv"
@@ -228,6 +238,9 @@ def test_the_evaluated_part_ends_at_a_cut(tmp_path, listed):
     assert figures["overall"]["false_alarms"] == 1
     assert figures["overall"]["hours"] == pytest.approx(12 / 3600, abs=1e-6)
     assert tr.evaluate.events(run, listed, until_s=12.0, hours=2.0)["overall"]["hours"] == 2.0
+    assert (
+        "--until 500 is after the end" in tr.evaluate.events(run, listed, until_s=500.0)["notes"][0]
+    )
 
 
 def test_several_drives_and_drives_without_a_contact(tmp_path, listed):

@@ -136,6 +136,7 @@ def test_unusual_rows(
     assert (status, error) == (0, "")
     n_rows = 3 if column == "fused_m" or (column, name) == ("class", "kitti") else 2
     assert f"{n_rows} boxes" in printed
+    assert ("The scenario is empty" in printed) == (name == "openscenario")
     assert b"inf" not in (tmp_path / "out").read_bytes() or name != "kitti"
 
 

@@ -87,8 +87,8 @@ class DriveVideo:
         if 0 < length_s <= (_PART_S if self.speed is None else _WHOLE_S):
             return [(start_s, given_s)]  # straight parts, too, show the scale of a given speed
         with self.opened(start_s, min(length_s or _SCANNED_S, _SCANNED_S)) as recording:
-            recording.videos[0].whole.burst_s = _BURST_S
-            images = ((frame.time_s, frame.left) for frame in every_step(_SCAN_S, recording.frames))
+            frames = every_step(_SCAN_S, recording.near_keyframes(_BURST_S).frames)
+            images = ((frame.time_s, frame.left) for frame in frames)
             turns = turning_spans(images, span_s=_PART_S, min_turn_deg=_MIN_TURN_DEG)
         if turns:
             return [(turn.start_s, turn.end_s - turn.start_s) for turn in turns]

@@ -22,8 +22,7 @@ def shown_fixed_parts(recording: Recording, reopen: Callable[[], Recording]) -> 
     estimate = recording.calibration.estimate
     with closing(reopen()) as opened:
         again = opened if estimate is None else opened.with_camera(estimate)
-        again.videos[0].whole.burst_s = 0.0  # keyframes are enough
-        for frame in again.frames:
+        for frame in again.near_keyframes(0.0).frames:
             parts.add(frame.left, frame.time_s)
             if parts.n_images >= _N_IMAGES or frame.time_s > _READ_S:
                 break

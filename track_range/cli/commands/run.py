@@ -189,7 +189,7 @@ def print_outcome(run: Run, console: Console) -> None:
     users = run.summary["closest_approaches"]
     print_grid(console, *([class_grid(users)] if users else []))
     accuracy = accuracy_lines(run.summary) if run.summary["truth"] else ()
-    print_line(console, *map(printable, event_lines(run.events)), *accuracy)
+    print_line(console, *map(printable, event_lines(run.events, len(users))), *accuracy)
 
 
 @contextmanager

@@ -308,6 +308,11 @@ class _Drive:
             until_s = end_of(occurrences)
             reason = "a row without a class; --until gives another end"
         if until_s >= self.last_s or math.isinf(until_s):
+            if reason == "--until" and until_s > self.last_s:
+                self.notes.append(
+                    f"--until {until_s:g} is after the end of the video at {self.last_s:.2f} s, so "
+                    "that all of it is evaluated."
+                )
             return list(events)
         before = [event for event in events if known_from_s(event) < until_s]
         self.notes.append(

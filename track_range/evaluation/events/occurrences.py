@@ -26,17 +26,17 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.classes import ROAD_CLASSES, STATIC_CLASSES, road_class_of
+from track_range.detection.classes import ROAD_CLASSES, STATIC_CLASSES
 from track_range.evaluation.events.scores import (
     Scores,
     are_same_class,
     expected_kind,
+    road_classes,
     rounded,
     sections_of,
 )
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
-from track_range.foundation.files.input_files import quoted
 from track_range.results.events.event import WARNING_KINDS, Event
 from track_range.results.events.files import EventFileError
 
@@ -91,8 +91,10 @@ def read_occurrences(path: Path) -> tuple[Occurrence, ...]:
     )
     table.require(OCCURRENCE_COLUMNS)
     meanings = [text.lower() for text in table.texts("warning")]
-    classes = [_class_of(table, row, meaning) for row, meaning in enumerate(meanings)]
+    table.check("warning", np.isin(meanings, _MEANINGS), "right, tolerated or false")
     is_right = np.array(meanings, np.str_) == "right"
+    is_cut = np.array([not name for name in table.texts("class")], np.bool_) & ~is_right
+    classes = road_classes(table, _USERS, is_blank_allowed=is_cut)
     first_s = _times_s(table, "first_visible_s", 0.0)
     times_s = (
         first_s,
@@ -104,23 +106,6 @@ def read_occurrences(path: Path) -> tuple[Occurrence, ...]:
     return tuple(Occurrence(*row) for row in zip(*columns, strict=True))
 
 
-def _class_of(table: CsvTable, row: int, meaning: str) -> str:
-    """Road class of a row; "" = none is given. Its `warning` is checked too."""
-    name = table.texts("class")[row]
-    if meaning not in _MEANINGS:
-        raise table.fault(
-            row, f"expected right, tolerated or false for warning, got {quoted(meaning)}."
-        )
-    if not name and meaning != "right":
-        return ""
-    road_class = road_class_of(name)
-    if road_class is None or road_class not in _USERS:
-        raise table.fault(
-            row, f"expected one of the classes {', '.join(_USERS)}, got {quoted(name)}."
-        )
-    return road_class
-
-
 def _times_s(
     table: CsvTable, name: str, since_s: FloatArray | float, is_needed: BoolArray | bool = True
 ) -> FloatArray:
@@ -129,7 +114,7 @@ def _times_s(
     is_blank = np.array([not cell for cell in table.texts(name)], np.bool_)
     is_valid = (values >= since_s) & (values <= _MAX_TIME_S)
     since = "0" if name == "first_visible_s" else "first_visible_s"
-    table.check(name, values, is_valid | is_blank & ~np.asarray(is_needed), f"seconds from {since}")
+    table.check(name, is_valid | is_blank & ~np.asarray(is_needed), f"seconds from {since}")
     return values
 
 
@@ -143,7 +128,7 @@ def _tolerance_s(table: CsvTable) -> FloatArray:
     tolerance = np.where(is_blank, 0.0, table.numbers("frame_tolerance"))
     is_valid = (tolerance == 0) | (tolerance * frame_s > 0)
     expected = "frames from 0, and frame numbers beside the seconds, which give their duration,"
-    table.check("frame_tolerance", tolerance, is_valid, expected)
+    table.check("frame_tolerance", is_valid, expected)
     return np.where(tolerance > 0, tolerance * frame_s, 0.0)
 
 

@@ -39,8 +39,8 @@ from track_range.detection.classes import ROAD_CLASSES, road_class_of
 from track_range.detection.formats.label_formats import read_labels
 from track_range.detection.formats.video_labels.csv_labels import has_label_columns, read_csv_labels
 from track_range.evaluation.events.settings import MIN_LEAD_S
-from track_range.foundation.files.csv_tables import read_csv_table
-from track_range.foundation.files.input_files import quoted
+from track_range.foundation.arrays import BoolArray
+from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 from track_range.foundation.poisson import rate_interval
 from track_range.ranging.truth.truth import Truth
 from track_range.results.events.event import EVENT_KINDS, WARNING_KINDS, Event, EventKind
@@ -79,17 +79,23 @@ def read_contacts(path: Path) -> tuple[Contact, ...]:
         is_valid = (values >= low) & (values <= high)
         if name == "object_id":
             is_valid &= values.round() == values
-        table.check(name, values, is_valid, expected)
+        table.check(name, is_valid, expected)
         numbers[name] = values.tolist()
-    classes = list[str]()
-    for row, name in enumerate(table.texts("class")):
-        if (road_class := road_class_of(name)) is None:
-            raise table.fault(
-                row, f"expected one of the classes {', '.join(ROAD_CLASSES)}, got {quoted(name)}."
-            )
-        classes.append(road_class)
+    classes = road_classes(table, ROAD_CLASSES)
     rows = zip(numbers["object_id"], classes, numbers["contact_s"], strict=True)
     return tuple(Contact(int(object_id), name, contact_s) for object_id, name, contact_s in rows)
+
+
+def road_classes(
+    table: CsvTable, allowed: Sequence[str], *, is_blank_allowed: BoolArray | bool = False
+) -> list[str]:
+    """Road classes of the column `class`, "" where it may be blank and is; the table's error for
+    one that is not allowed.
+    """
+    classes = [road_class_of(name) or "" for name in table.texts("class")]
+    is_valid = np.isin(classes, allowed) | is_blank_allowed
+    table.check("class", is_valid, f"one of the classes {', '.join(allowed)}")
+    return classes
 
 
 # sections `overall` and `by_kind`, and lists of single results, as in the JSON file

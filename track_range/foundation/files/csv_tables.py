@@ -73,17 +73,16 @@ class CsvTable:
     def finite(self, name: str) -> FloatArray:
         """(N,) numbers of a column; raises `error` for a cell that is not a finite number."""
         values = self.numbers(name)
-        self.check(name, values, np.isfinite(values), "a finite number")
+        self.check(name, np.isfinite(values), "a finite number")
         return values
 
-    def check(self, name: str, values: FloatArray, is_valid: BoolArray, expected: str) -> None:
-        """Raise `error` for the first invalid row; `values` (N,) are the numbers of column
-        `name`.
-        """
+    def check(self, name: str, is_valid: BoolArray, expected: str) -> None:
+        """Raise `error` for the first row (N,) whose cell of column `name` is invalid."""
         for row in np.flatnonzero(~is_valid).tolist():
-            cell = self.texts(name)[row] if name in self.header else f"{values[row]:g}"
+            cell = self.texts(name)[row]
             advice = "; write decimals with a point" if _DECIMAL_COMMA.fullmatch(cell) else ""
-            raise self.fault(row, f"expected {expected} for {name}, got {quoted(cell)}{advice}.")
+            got = quoted(cell) if name in self.header else f"no column {name}"
+            raise self.fault(row, f"expected {expected} for {name}, got {got}{advice}.")
 
 
 def read_csv_table(

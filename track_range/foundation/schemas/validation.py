@@ -47,23 +47,29 @@ _Settings = TypeVar("_Settings")
 
 
 def chosen_numbers(settings: type[_Settings], chosen: Mapping[str, Any]) -> _Settings:
-    """Settings of a dataclass with `chosen` numbers >= 0 by name, probabilities <= 1; raises
-    ValueError for another name or value.
+    """Settings of a dataclass with `chosen` values by name, which it checks itself (`check_numbers`);
+    raises ValueError for another name or value.
     """
     known = [field.name for field in fields(settings)]  # type: ignore[arg-type]  # every dataclass has fields
-    for name, value in chosen.items():
+    for name in chosen:
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
             raise ValueError(
                 f"unknown setting {quoted(name)}" + (f"; did you mean {near[0]}?" if near else "")
             )
+    return settings(**chosen)
+
+
+def check_numbers(settings: Any) -> None:
+    """ValueError unless all values of a dataclass are numbers >= 0, and probabilities <= 1."""
+    for field in fields(settings):
+        name, value = field.name, getattr(settings, field.name)
         is_probability = name.endswith("_probability")
         most = 1.0 if is_probability else sys.float_info.max
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if not (is_number and 0 <= value <= most):
             expected = "a probability from 0 to 1" if is_probability else "a number of at least 0"
             raise ValueError(f"{name}: expected {expected}, found {quoted(value)}")
-    return settings(**chosen)
 
 
 def first_problem(error: ValidationError) -> tuple[str, str]:

@@ -73,7 +73,7 @@ def _from_csv(path: Path) -> EgoSpeed:
     if not len(table):
         raise EgoSpeedError(f"{path}: expected at least one row below the header, got none.")
     time_s, speed_mps = table.finite("time_s"), table.finite(units[0]) * _UNITS[units[0]]
-    table.check("time_s", time_s, np.abs(time_s) <= _MAX_TIME_S, "seconds from the first frame")
+    table.check("time_s", np.abs(time_s) <= _MAX_TIME_S, "seconds from the first frame")
     if (np.diff(time_s) <= 0).any():
         raise EgoSpeedError(
             f"{path}: expected time_s to increase from row to row; sort the rows "

@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Literal, get_args
 
+from track_range.foundation.schemas.validation import check_numbers
+
 EventKind = Literal[
     "forward_collision",
     "close_following",
@@ -125,6 +127,9 @@ class EventSettings:
     near_miss_probability: float = 0.5  # smallest probability of contact of a near miss
     # smallest last gap of a near miss on the path; a smaller one may be a contact
     near_miss_gap_m: float = 0.5
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
 
 
 def probability_words(probability: float) -> str:

@@ -251,6 +251,12 @@ def _export_rows(
     writer = create_writer(settings.to)
     check_replaceable(settings.out, settings.to)
     fps, poses = run.fps or DEFAULT_FPS, read_poses(run.folder)
+    if settings.to == "openscenario" and poses is None:
+        notes = (
+            *notes,
+            "The scenario is empty: the run has no positions of the camera (poses.csv), since its "
+            "speed is unknown; run it again with --ego-speed.",
+        )
     info = RunInfo(
         camera=camera,
         rig=None,

@@ -91,11 +91,11 @@ def html_table(grid: Grid) -> str:
     )
 
 
-def event_lines(events: Sequence[Event]) -> Iterator[str]:
-    """The warnings or the number of events in one line, then a line for each of the most severe
-    events.
+def event_lines(events: Sequence[Event], n_users: int) -> Iterator[str]:
+    """The warnings or the number of events of `n_users` road users in one line, then a line for
+    each of the most severe events.
     """
-    headline = event_headline(events)
+    headline = event_headline(events, n_users)
     between = ": " if events else " "
     yield f"{headline['figure']}{between}{headline['words']}."
     listed = sorted(sorted(events, key=severity_key)[:MOST_EVENTS], key=lambda event: event.start_s)

@@ -61,7 +61,7 @@ def headlines(
 
     `users` are `closest_approaches` of the rows; `events` None = unknown.
     """
-    first = _user_headline(users) if events is None else event_headline(events)
+    first = _user_headline(users) if events is None else event_headline(events, len(users))
     return [first, _nearest_headline(users), _collision_headline(rows, users)]
 
 
@@ -80,8 +80,10 @@ def _user_moment(user: Mapping[str, Any], key: str, figure: str, words: str) -> 
     )
 
 
-def event_headline(events: Sequence[Event]) -> dict[str, Any]:
-    """The headline of the warnings or, without a warning, of the events."""
+def event_headline(events: Sequence[Event], n_users: int) -> dict[str, Any]:
+    """The headline of the warnings or, without a warning, of the events of `n_users` road users."""
+    if not events and not n_users:
+        return _headline("No road user", "was found, so that there was nothing to warn of")
     if not events:
         return _headline(
             "No event",

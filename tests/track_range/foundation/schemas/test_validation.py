@@ -17,6 +17,7 @@ from track_range.foundation.schemas.validation import (
     validated,
 )
 from track_range.ranging.warning.settings import WarningSettings
+from track_range.results.events.event import EventSettings
 
 
 class Inner(BaseModel):
@@ -98,6 +99,13 @@ def test_valid_content() -> None:
 def test_chosen_numbers_that_are_none(chosen: dict[str, Any], expected: str) -> None:
     with pytest.raises(ValueError, match=expected):
         chosen_numbers(WarningSettings, chosen)
+
+
+def test_settings_check_their_numbers() -> None:
+    with pytest.raises(ValueError, match="on_probability: expected a probability from 0 to 1"):
+        WarningSettings(on_probability=55)
+    with pytest.raises(ValueError, match="max_gap_s: expected a number of at least 0, found nan"):
+        EventSettings(max_gap_s=float("nan"))
 
 
 def test_chosen_numbers() -> None:

@@ -38,22 +38,25 @@ def test_nearest_road_users():
 
 
 def test_events_in_lines():
-    assert [*event_lines([])] == [
+    assert [*event_lines([], 1)] == [
         "No event found among the road users that were measured: no collision warning, close "
         "following, hard approach, cut-in or near miss."
     ]
+    expected = "No road user was found, so that there was nothing to warn of."
+    assert [*event_lines([], 0)] == [expected]
     warning = event(kind="cut_in", start_s=2.0, warning_s=2.1, reason="A car moved in.")
-    first, line = event_lines([warning])
+    first, line = event_lines([warning], 1)
     assert first == "1 warning: car 7 at 2.1 s."
     assert line.split() == "2.0 s cut-in, car 7: A car moved in.".split()
     others = [event(kind="near_miss", start_s=float(i), warning_s=math.nan) for i in range(6)]
-    first, *lines, more = event_lines([warning, *others])
+    first, *lines, more = event_lines([warning, *others], 1)
     assert first == "1 warning: car 7 at 2.1 s; 7 events in all."
     assert len(lines) == 5
     assert more.strip().startswith("and 2 events more")
-    assert next(event_lines(others[:2])) == f"2 events: 2 {TIMES} near miss, without a warning."
+    assert next(event_lines(others[:2], 1)) == f"2 events: 2 {TIMES} near miss, without a warning."
     assert (
-        next(event_lines(others[2:3])) == "1 event: near miss, car 7 at 2.0 s, without a warning."
+        next(event_lines(others[2:3], 1))
+        == "1 event: near miss, car 7 at 2.0 s, without a warning."
     )
 
 
