@@ -7,7 +7,7 @@ within a drive, it changes by 10 to 20 % in some seconds. A shift of the road th
 different depth is that of something else, such as a vehicle ahead that has no box.
 
 The depth may also change at once: behind the last lamps of a junction, only clouds and hills have
-corners. The dynamic of a car tells both apart (`SpeedFilter.reaches`): if no car reaches the speed
+corners. The dynamic of a car tells both apart (`SpeedFilter.expects`): if no car reaches the speed
 by the depth from the last speed, the depth has changed.
 """
 
@@ -50,10 +50,10 @@ class SceneDepth:
             return by_road
         middle_s = motion.time_s - motion.dt_s / 2
         # also for NaN
-        if not by_depth[0] >= 0 or before.expects(middle_s, *by_depth[:2]):
+        if not by_depth[0] >= 0 or before.expects(middle_s, *by_depth):
             return by_depth
         self._variance, self._n_speeds = _UNKNOWN_SIGMA**2, 0
-        if before.expects(middle_s, *by_road[:2]) and self.fits(motion, by_road[0]):
+        if before.expects(middle_s, *by_road) and self.fits(motion, by_road[0]):
             return by_road
         return math.nan, math.nan, math.nan
 
@@ -69,7 +69,7 @@ class SceneDepth:
         is_known = self._n_speeds >= _MIN_SPEEDS and sigma < _MAX_SIGMA
         if not (is_known and speed_mps > 0 and _noise(motion) < _MAX_NOISE):
             return math.nan, math.nan, math.nan
-        return speed_mps, math.hypot(_noise(motion), sigma) * speed_mps, sigma * speed_mps
+        return speed_mps, _noise(motion) * speed_mps, sigma * speed_mps
 
     def fits(self, motion: ImageMotion, speed_mps: float) -> bool:
         """Whether a speed by the road fits the expansion of the images; such a speed is learnt."""

@@ -10,7 +10,8 @@ Drivers accelerate and brake for about a time T, by about s (Singer, 1970): with
 
 A mean speed over dt is the speed dt / 2 ago, so the result is predicted by dt / 2. The sigma of a
 measurement has an independent part, which averages out, and a systematic one, which is added at the
-output.
+output. Of measurements with another systematic sigma, of another source, the difference is an error
+of the larger one against the other.
 
 An innovation that is no motion of a car is that of something else: the speed is predicted, soon
 unknown, and its sigma grows until the filter expects such a speed. A first speed that more
@@ -64,11 +65,10 @@ class _State(NamedTuple):
         Q = s2 * np.array([[Q_VV, Q_Va], [Q_Va, Q_aa]])
         return _State(time_s, F @ self.mean, F @ self.P @ F.T + Q)
 
-    def updated(self, innovation_mps: float, sigma_mps: float) -> "_State":
-        """The state after a measurement of the speed."""
-        gain = self.P[:, 0] / (self.P[0, 0] + sigma_mps**2)
-        P = self.P - np.outer(gain, self.P[0])
-        return self._replace(mean=self.mean + gain * innovation_mps, P=P)
+    def updated(self, speed_mps: float, gain: FloatArray) -> "_State":
+        """The state after a measurement of the speed with a gain (2,)."""
+        mean = self.mean + gain * (speed_mps - self.mean[0])
+        return self._replace(mean=mean, P=self.P - np.outer(gain, self.P[0]))
 
     @property
     def sigma_mps(self) -> float:
@@ -84,8 +84,9 @@ class SpeedFilter:
         self._measured_s = -math.inf  # middle of the last measurement that was used
         # measurements since the start that agree; outliers since the last one of these
         self._n_agreed = self._n_outliers = 0
-        self._latest: deque[tuple[float, float]] = deque()  # the last two of them: middle and speed
-        self._systematic_mps = math.nan
+        # the last two of them: middle, speed and sigma
+        self._latest: deque[tuple[float, float, float]] = deque()
+        self._systematic_mps = math.nan  # error of the speed that is the same in all frames
         # ratio of the variance of the measurements to the expected one, at least 1
         self._spread2 = 1.0
         # the part of the last standard deviation that is new in each frame
@@ -104,9 +105,11 @@ class SpeedFilter:
         middle_s = time_s - dt_s / 2
         if self._state is not None:
             self._state = self._state.predicted(max(middle_s, self._state.time_s))
-        self.is_measured = math.isfinite(speed_mps) and self._add(middle_s, speed_mps, sigma_mps)
+        self.is_measured = math.isfinite(speed_mps) and self._add(
+            middle_s, speed_mps, sigma_mps, systematic_mps
+        )
         if self.is_measured:
-            self._measured_s, self._systematic_mps = middle_s, systematic_mps
+            self._measured_s = middle_s
         if self._state is None or middle_s - self._measured_s > MAX_PREDICTED_S:
             return math.nan, math.nan
         if self._n_agreed < 2 and abs(self._state.mean[0] * dt_s) > _LARGE_STEP_M:
@@ -115,7 +118,9 @@ class SpeedFilter:
         self.noise_mps = now.sigma_mps
         return float(now.mean[0]), math.hypot(self.noise_mps, self._systematic_mps)
 
-    def expects(self, middle_s: float, speed_mps: float, sigma_mps: float) -> bool:
+    def expects(
+        self, middle_s: float, speed_mps: float, sigma_mps: float, systematic_mps: float
+    ) -> bool:
         """Whether a speed at a time is one of the same car; True without an earlier one, False for
         NaN.
         """
@@ -125,51 +130,68 @@ class SpeedFilter:
         n_sigma = _OUTLIER_SIGMA if self._n_outliers == 0 else _OTHER_SIGMA
         # a driver may have begun to brake at the last measurement
         braked_mps = _BRAKING_MPS2 * min(middle_s - self._measured_s, _ONSET_S)
-        limit_mps = n_sigma * math.hypot(state.sigma_mps, sigma_mps) + braked_mps
+        other_mps = math.sqrt(abs(systematic_mps**2 - self._systematic_mps**2))
+        limit_mps = n_sigma * math.hypot(state.sigma_mps, sigma_mps, other_mps) + braked_mps
         return abs(speed_mps - float(state.mean[0])) <= limit_mps
 
     def is_rest(self, speed: tuple[float, float], *, shows_rest: bool) -> bool:
         """Whether images of a camera at rest agree with a speed of `update`; False if unknown."""
         return shows_rest and abs(speed[0]) <= _REST_MPS + 2 * speed[1]
 
-    def _add(self, middle_s: float, speed_mps: float, sigma_mps: float) -> bool:
+    def _add(
+        self, middle_s: float, speed_mps: float, sigma_mps: float, systematic_mps: float
+    ) -> bool:
         """Use a measurement unless it is an outlier; whether it was used."""
-        state = self._state
-        if state is None:
-            self._start(middle_s, speed_mps, sigma_mps)
+        if self._state is None:
+            self._start(middle_s, speed_mps, sigma_mps, systematic_mps)
             return True
-        innovation_mps = speed_mps - float(state.mean[0])
-        is_expected = self.expects(middle_s, speed_mps, sigma_mps * math.sqrt(self._spread2))
-        scatter2 = _OUTLIER_SPREAD2
+        wide_mps = sigma_mps * math.sqrt(self._spread2)
+        is_expected = self.expects(middle_s, speed_mps, wide_mps, systematic_mps)
+        spread2 = _OUTLIER_SPREAD2
         if is_expected:
-            scatter2 = min(self._scatter2(middle_s, speed_mps) / sigma_mps**2, _MAX_SPREAD2)
-        own = (1 - _SPREAD_GAIN) * self._spread2
-        self._spread2 = max(1.0, own + _SPREAD_GAIN * scatter2)
+            spread2 = min(self._spread2_of(middle_s, speed_mps, sigma_mps), _MAX_SPREAD2)
+        self._spread2 = max(1.0, (1 - _SPREAD_GAIN) * self._spread2 + _SPREAD_GAIN * spread2)
         wide_mps = sigma_mps * math.sqrt(self._spread2)
         if is_expected:
-            self._state = state.updated(innovation_mps, wide_mps)
-            self._latest.append((middle_s, speed_mps))
+            self._update(self._state, speed_mps, wide_mps, systematic_mps)
+            self._latest.append((middle_s, speed_mps, sigma_mps))
             self._n_agreed, self._n_outliers = self._n_agreed + 1, 0
             return True
         self._n_outliers += 1
         was_wrong = self._n_agreed < min(self._n_outliers, _N_SURE)
         if was_wrong:
-            self._start(middle_s, speed_mps, wide_mps)
+            self._start(middle_s, speed_mps, wide_mps, systematic_mps)
         return was_wrong
 
-    def _start(self, middle_s: float, speed_mps: float, sigma_mps: float) -> None:
+    def _start(
+        self, middle_s: float, speed_mps: float, sigma_mps: float, systematic_mps: float
+    ) -> None:
         P = np.diag([sigma_mps**2, _INITIAL_ACCELERATION_MPS2**2])
         self._state = _State(middle_s, np.array([speed_mps, 0.0]), P)
-        self._latest = deque([(middle_s, speed_mps)], 2)
+        self._systematic_mps = systematic_mps
+        self._latest = deque([(middle_s, speed_mps, sigma_mps)], 2)
         self._n_agreed, self._n_outliers = 1, 0
 
-    def _scatter2(self, middle_s: float, speed_mps: float) -> float:
-        """Variance of the measurements by the distance of the last one from the line through its
-        neighbours, which a steady acceleration does not move; 0 = unknown.
+    def _update(
+        self, state: _State, speed_mps: float, sigma_mps: float, systematic_mps: float
+    ) -> None:
+        """Update the state, whose systematic error becomes that of the measurements."""
+        other2 = systematic_mps**2 - self._systematic_mps**2
+        P = state.P + np.diag([max(-other2, 0.0), 0.0])
+        gain = P[:, 0] / (P[0, 0] + sigma_mps**2 + max(other2, 0.0))
+        own_mps = min(self._systematic_mps, systematic_mps)
+        self._systematic_mps = own_mps + float(gain[0]) * (systematic_mps - own_mps)
+        self._state = state._replace(P=P).updated(speed_mps, gain)
+
+    def _spread2_of(self, middle_s: float, speed_mps: float, sigma_mps: float) -> float:
+        """Ratio of the variance of the measurements to the expected one, by the distance of the
+        last one from the line through its neighbours, which a steady acceleration does not move;
+        0 = unknown.
         """
         if len(self._latest) < 2:
             return 0.0
-        (first_s, first_mps), (last_s, last_mps) = self._latest
+        (first_s, first_mps, first_sigma), (last_s, last_mps, last_sigma) = self._latest
         weight = (last_s - first_s) / max(middle_s - first_s, 1e-6)
         between_mps = (1 - weight) * first_mps + weight * speed_mps
-        return (last_mps - between_mps) ** 2 / (1 + weight**2 + (1 - weight) ** 2)
+        sigma = math.hypot(last_sigma, (1 - weight) * first_sigma, weight * sigma_mps)
+        return ((last_mps - between_mps) / sigma) ** 2

@@ -163,6 +163,21 @@ def test_filter_takes_another_speed_when_a_car_has_had_the_time_for_it():
     assert np.abs(late[unknown[-1] + 1 :]).max() < 0.3
 
 
+def test_speeds_of_a_source_with_a_larger_error_give_way_to_better_ones():
+    """10 m/s by a source that may be 2 m/s wrong, and 14 m/s by one that is right within 0.1."""
+    speeds, other = SpeedFilter(), SpeedFilter()
+    for k in range(30):
+        rough = speeds.update(k / 30, 1 / 30, 10.0, 0.5, 2.0)
+        other.update(k / 30, 1 / 30, 10.0, 0.5, 0.1)
+    assert rough[1] == pytest.approx(math.hypot(2.0, speeds.noise_mps))
+    better = speeds.update(1.0, 1 / 30, 14.0, 0.2, 0.1)
+    assert better[0] == pytest.approx(14.0, abs=0.3)
+    assert better[1] < 0.5
+    assert other.update(1.0, 1 / 30, 14.0, 0.2, 0.1)[0] == pytest.approx(10.0, abs=0.1)
+    # the rough source cannot correct the better one
+    assert speeds.update(31 / 30, 1 / 30, 12.0, 0.5, 2.0)[0] == pytest.approx(14.0, abs=0.4)
+
+
 def test_first_speed_that_others_contradict_was_wrong():
     """40 m/s once, then 10 m/s: more measurements contradict the first one than agree with it."""
     late_mps = filtered([40.0, *[10.0] * 5], 1 / 30)[:, 0]
