@@ -27,6 +27,7 @@ from track_range.ranging.evaluation.box_methods import (
 from track_range.ranging.filtering.distance_filter import FilteredRanges, time_to_collision
 from track_range.ranging.filtering.lateral_motion import LateralMotion
 from track_range.ranging.fusion.fusion import Fusion
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.truth.errors import MethodColumn
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.world.ego_path import EgoPose
@@ -116,19 +117,25 @@ def measured_motion(
     motions = {
         number: ObjectMotions(axis_rad) for number, axis_rad in enumerate(motion.axis_rad.tolist())
     }
-    for rows, tracks, ego, state, lateral in _filtered(motion, columns, is_ego_known):
+    for rows, tracks, ego, fused, state, lateral in _filtered(motion, columns, is_ego_known):
         sequence = int(boxes.sequence[rows[0]])
         time_s = float(boxes.time_s[rows[0]])
         if sequence in warnings:
             alarm = warnings[sequence].update(
-                tracks, state, lateral, time_s, ego_mps=ego.speed_mps, yaw_rad_s=ego.yaw_rad_s
+                tracks,
+                state,
+                lateral,
+                time_s,
+                ego_mps=ego.speed_mps,
+                yaw_rad_s=ego.yaw_rad_s,
+                ranges=fused,
             )
             is_alarm[rows] = alarm.active
         world = motions[sequence].update(
             tracks.track_id, tracks.class_id, state, lateral, time_s, ego=ego, pose=EgoPose()
         )
-        values[0, rows] = state.ranges.distance_m
-        values[1:5, rows] = -state.rate_mps, state.rate_sigma_mps, state.ttc_s, state.ttc_sigma_s
+        values[:3, rows] = state.ranges.distance_m, -state.rate_mps, state.rate_sigma_mps
+        values[3:5, rows] = state.ttc_s, state.ttc_sigma_s
         values[5:7, rows] = world.speed_mps, world.speed_sigma_mps
         values[7:10, rows] = world.state, world.state_probability, state.static
         values[10, rows] = ego.speed_mps
@@ -144,9 +151,9 @@ def _filtered(
     is_ego_known: bool,
     *,
     sign: int = 1,
-) -> Iterator[tuple[IntArray, Tracks, EgoMotion, FilteredRanges, LateralMotion]]:
-    """Row indices, tracks, ego motion and filtered motion of each frame; `sign` -1 = backwards in
-    time.
+) -> Iterator[tuple[IntArray, Tracks, EgoMotion, Ranges, FilteredRanges, LateralMotion]]:
+    """Row indices, tracks, ego motion, fused distances and filtered motion of each frame; `sign`
+    -1 = backwards in time.
     """
     boxes, sequence = motion.boxes, -1
     for rows, tracks, frame, _ in list(as_frames(boxes, boxes.class_id))[::sign]:
@@ -159,7 +166,7 @@ def _filtered(
         time_s = sign * frame.time_s
         fused = fusion.fuse(ranges, tracks.track_id, time_s)
         filtered = stage.update(tracks, FrameRanges(ranges), fused, ego, time_s)
-        yield rows, tracks, ego, filtered.fused, filtered.lateral
+        yield rows, tracks, ego, fused.ranges, filtered.fused, filtered.lateral
 
 
 def _ego_motion(motion: LabelledMotion, row: int, sign: int) -> EgoMotion:
@@ -192,7 +199,7 @@ def _with_look_ahead(
     a filter backwards in time.
     """
     backward = np.full_like(forward, np.nan)
-    for rows, _, _, filtered, _ in _filtered(motion, columns, is_ego_known, sign=-1):
+    for rows, _, _, _, filtered, _ in _filtered(motion, columns, is_ego_known, sign=-1):
         backward[:, rows] = _state(filtered)
     state = combined(ConstantVelocity(*forward[:5]), ConstantVelocity(*backward[:5]))
     sigma_mps = np.sqrt(state.P_vv + np.fmin(forward[5], backward[5]))
