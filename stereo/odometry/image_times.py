@@ -24,6 +24,7 @@ import numpy as np
 
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.input_files import counted
+from track_range.stereo.odometry.scene_cuts import SceneCuts
 
 # side of the blocks in which small images are compared: compression changes single pixels by more
 _BLOCK_PX = 5
@@ -58,6 +59,7 @@ class ImageTime(NamedTuple):
     is_repeated: bool = False  # whether it is the last new image once more
     # whether the time between new images is known: not after a repetition until a rate shows
     is_sure: bool = True
+    starts_scene: bool = False  # whether it shows another scene since the image before
 
 
 class _NewImage(NamedTuple):
@@ -83,9 +85,12 @@ class ImageTimes:
         self._frozen_s: list[tuple[float, float]] = []  # first and last time of long rows
         self._periods: Counter[int] = Counter()  # frames from one row of repetitions to the next
         self._n_since = 0  # frames since the end of the last row
+        self._cuts, self._cut_s = SceneCuts(), list[float]()  # times of the first images of scenes
 
-    def update(self, image: Image, time_s: float) -> ImageTime:
-        """What the image (H, W) or (H, W, 3) of the next frame shows."""
+    def update(self, image: Image, time_s: float, hidden: float = 0.0) -> ImageTime:
+        """What the image (H, W) or (H, W, 3) of the next frame shows; a road user hides the part
+        `hidden` of it.
+        """
         self._n_frames += 1
         self._n_since += 1
         self._steps_s.append(time_s - self._last_s)
@@ -101,10 +106,13 @@ class ImageTimes:
             self._n_row += 1
             return ImageTime(time_s, is_repeated=True)
         self._small = small
+        starts_scene = self._cuts.update(small, time_s, hidden)
+        if starts_scene:
+            self._cut_s.append(self._images[-1].frame_s)
         self._usual.append((grey, block_grey))
         self._images.append(_NewImage(time_s, grey, self._n_row))
         self._end_row()
-        return self._moment()
+        return self._moment()._replace(starts_scene=starts_scene)
 
     def _start(self, small: Image, time_s: float) -> None:
         self._small = small
@@ -161,13 +169,17 @@ class ImageTimes:
     def notes(self) -> tuple[str, ...]:
         """Messages for the user about the repeated images so far."""
         notes = []
+        if self._cut_s:
+            cuts = _listed([f"{cut_s:.1f} s" for cut_s in self._cut_s])
+            notes.append(
+                f"The images show another scene from {cuts} on: tracks, odometry and filters start "
+                "again there, with the same camera; give scenes of another camera on their own."
+            )
         frozen_s = list(self._frozen_s)
         if self._images and self._last_s - self._images[-1].frame_s >= _FROZEN_S and self._n_row:
             frozen_s.append((self._images[-1].frame_s, self._last_s))
         if frozen_s:
-            shown = [f"{start:.1f} to {end:.1f} s" for start, end in frozen_s[:_MAX_SPANS]]
-            n_more = len(frozen_s) - len(shown)
-            spans = ", ".join(shown) + (f" and {n_more} more times" if n_more else "")
+            spans = _listed([f"{start:.1f} to {end:.1f} s" for start, end in frozen_s])
             notes.append(
                 f"The images do not change from {spans}, although the camera was moving: "
                 "distances are predicted there, and soon unknown; check the camera and its "
@@ -189,6 +201,12 @@ class ImageTimes:
         if is_pattern:
             return f"Every {_ORDINALS[period]} frame repeats the image before it"
         return "Frames repeat the image before them"
+
+
+def _listed(values: list[str]) -> str:
+    """The first values of a note, and how many more there are."""
+    n_more = len(values) - _MAX_SPANS
+    return ", ".join(values[:_MAX_SPANS]) + (f" and {n_more} more times" if n_more > 0 else "")
 
 
 def sampled(image: Image) -> Image:

@@ -2,11 +2,13 @@
 order.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from track_range.detection.boxes import area_px2
 from track_range.detection.lanes.lines import LaneLines
 from track_range.pipeline.alarming import AlarmStage
 from track_range.pipeline.clock import StageClock
@@ -51,12 +53,18 @@ class FramePipeline:
     world: WorldStage  # positions and motion over ground
     alarming: AlarmStage  # warnings and measures of safety
     times: ImageTimes = field(default_factory=ImageTimes)  # which frames show a new moment
+    # makes tracker and ego stage of another scene; None = scenes are not told apart
+    restarted: Callable[[], tuple[ObjectTracker, EgoStage]] | None = None
     setup_notes: tuple[str, ...] = ()  # messages for the user about the chosen parts
     clock: StageClock = field(default_factory=StageClock)  # time spent in each stage
     # from the frames so far; used with the next one
     scale: DriveScale = field(init=False)
     doubt: Doubt = field(init=False)
     tracks: Tracks = field(default_factory=Tracks.empty, init=False)
+    # numbers of the tracks of earlier scenes, and messages about these
+    _n_before: int = field(default=0, init=False)
+    _n_tracks: int = field(default=0, init=False)
+    _notes_before: tuple[str, ...] = field(default=(), init=False)
 
     def __post_init__(self) -> None:
         self.doubt, self.scale = self.doubting.initial, self.doubting.initial_scale
@@ -75,8 +83,13 @@ class FramePipeline:
         measures it.
         """
         frame, lanes = detected.frame, detected.lanes
-        image = self.times.update(frame.left, frame.time_s)
+        largest_px2 = area_px2(detected.detections.xyxy_px).max(initial=0.0)
+        hidden = float(largest_px2 / (frame.left.shape[0] * frame.left.shape[1]))
+        image = self.times.update(frame.left, frame.time_s, hidden)
         time_s, stage = image.time_s, self.clock.stage
+        if image.starts_scene and self.restarted is not None:
+            self._notes_before = (*self._notes_before, *self.ego.notes)
+            self._n_before, (self.tracker, self.ego) = self._n_tracks, self.restarted()
         if image.is_repeated:
             seen = self._predicted(frame, known_ego)
         else:
@@ -126,7 +139,8 @@ class FramePipeline:
         """What a new image shows."""
         frame, lanes, detections = detected.frame, detected.lanes, detected.detections
         with self.clock.stage("track"):
-            self.tracks = tracks = tracked(self.tracker, detections, frame)
+            self.tracks = tracks = self._numbered(tracked(self.tracker, detections, frame))
+            others = self._numbered(unconfirmed(self.tracker))
         with self.clock.stage("ego"):
             ego = self.ego.update(
                 frame,
@@ -140,7 +154,13 @@ class FramePipeline:
         if ego.right_camera is not None:
             frame = ego.right_camera.corrected(frame)
         measured = self.ranging.measure(tracks, frame, lanes, ego, self.scale, self.clock)
-        return _Seen(tracks, unconfirmed(self.tracker), ego, measured)
+        return _Seen(tracks, others, ego, measured)
+
+    def _numbered(self, tracks: Tracks) -> Tracks:
+        """Tracks with other numbers than those of earlier scenes."""
+        track_id = tracks.track_id + self._n_before
+        self._n_tracks = max(self._n_tracks, int(track_id.max(initial=0)))
+        return replace(tracks, track_id=track_id)
 
     def _predicted(self, frame: Frame, known_ego: EgoMotion | None) -> _Seen:
         """The last tracks, without measurements: a repeated image shows nothing of its time."""
@@ -156,7 +176,8 @@ class FramePipeline:
 
     def notes(self) -> tuple[str, ...]:
         """Messages for the user about the parts of the pipeline, besides those of the stages."""
-        return (*self.setup_notes, *self.times.notes, *self.ego.notes)
+        notes = (*self.setup_notes, *self.times.notes, *self._notes_before, *self.ego.notes)
+        return tuple(dict.fromkeys(notes))
 
     def summary(self) -> dict[str, Any]:
         """The scale of the drive for summary.json; no entry without evidence."""

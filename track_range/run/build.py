@@ -81,15 +81,21 @@ def open_pipeline(
     mounting = calibration.view_mounting(settings.mounting)
     is_ahead = looks_ahead(mounting)
     context = _method_context(settings, calibration, boxes, region, mounting)
-    flow = BackgroundFlow()
     runtime = context.runtime or Runtime()
-    tracker_options = replace(open_tracker_options(settings.reid, runtime), flow=flow)
+    tracker_options = open_tracker_options(settings.reid, runtime)
     appearance_notes = () if tracker_options.reid is None else tracker_options.reid.notes
     lane_finder = open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None
     priors = _camera_priors(context, calibration)
-    ego = _ego_stage(
-        context, flow, ego_speed, priors, measures_speed=measures_speed, mounting=mounting
-    )
+
+    def of_scene() -> tuple[ObjectTracker, EgoStage]:
+        flow = BackgroundFlow()
+        ego = _ego_stage(
+            context, flow, ego_speed, priors, measures_speed=measures_speed, mounting=mounting
+        )
+        options = replace(tracker_options, flow=flow)
+        return tracker or create_tracker(settings.tracker, options), ego
+
+    first_tracker, ego = of_scene()
     check = _scale_check(context, priors, calibration, settings.lane_width_m)
     warning = CollisionWarning(settings.warning_settings) if is_ahead else None
     camera = calibration.camera
@@ -102,8 +108,9 @@ def open_pipeline(
             lane_finder=lane_finder,
             fixed_parts=boxes.fixed_parts,
         ),
-        tracker=tracker or create_tracker(settings.tracker, tracker_options),
+        tracker=first_tracker,
         ego=ego,
+        restarted=None if tracker is not None else of_scene,
         ranging=RangingStage(create_rangers(context)),
         doubting=DoubtStage(priors, check, _focal_before(calibration)),
         filtering=FilterStage(

@@ -14,6 +14,7 @@ from track_range.detection.detections import Detections
 from track_range.detection.detector import DetectorError
 from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.pipeline.detecting import DetectionStage
+from track_range.pipeline.ego import EgoStage
 from track_range.pipeline.ranging import RangingStage
 from track_range.pipeline.threads import LIVE_DEPTHS, run_in_threads
 from track_range.ranging.cameras.unknowns import Prior, Unknown
@@ -87,6 +88,36 @@ def test_frames_in_order_with_all_methods():
     assert last.ttc_s == pytest.approx([2.1], abs=0.1)
     # box centre 10 px right, 30 px below
     np.testing.assert_allclose(last.xyz_m, [[0.1 * 21, 0.3 * 21, 21.0]])
+
+
+def scenes(n, cut):
+    """Frames of one texture, and of another one from a frame on."""
+    rng = np.random.default_rng(0)
+    blocks = rng.integers(0, 255, (2, 12, 16)).astype(np.uint8)
+    large = [cv2.resize(one, (640, 480), interpolation=cv2.INTER_CUBIC) for one in blocks]
+    noise = rng.integers(0, 12, (n, 480, 640)).astype(np.uint8)
+    return [
+        Frame(
+            k, 0.1 * k, np.repeat(cv2.add(large[int(k >= cut)], noise[k])[:, :, None], 3, 2), None
+        )
+        for k in range(n)
+    ]
+
+
+def test_another_scene_has_another_tracker_and_other_numbers():
+    loop = pipeline(restarted=lambda: (OneTrack(), EgoStage()))
+    before = loop.ego
+    results = list(run_in_threads(loop, scenes(10, cut=5)))
+    # a cut is known with the second image of the other scene
+    assert [r.tracks.track_id.tolist() for r in results] == [[1]] * 6 + [[2]] * 4
+    assert loop.ego is not before
+    assert np.isnan(results[6].closing_mps).all()
+    (note,) = loop.notes()
+    assert "another scene from 0.5 s on" in note
+    kept = pipeline()
+    assert [r.tracks.track_id.tolist() for r in run_in_threads(kept, scenes(10, cut=5))] == [
+        [1]
+    ] * 10
 
 
 def test_clock_counts_the_stages_that_ran():
