@@ -13,7 +13,12 @@ from track_range.evaluation.motion.cells import motion_cells, quantity_figures, 
 from track_range.evaluation.motion.labelled_motion import kitti_motion, track_slopes
 from track_range.evaluation.motion.measured_motion import MeasuredMotion, measured_motion
 from track_range.evaluation.motion.nuscenes import nuscenes_motion
-from track_range.evaluation.motion.scores import motion_figures, speed_figures, ttc_figures
+from track_range.evaluation.motion.scores import (
+    motion_figures,
+    quantities,
+    speed_figures,
+    ttc_figures,
+)
 from track_range.evaluation.motion.states import true_states
 from track_range.evaluation.motion.tusimple import tusimple_motion, velocity_score
 from track_range.foundation.errors import UsageError
@@ -244,16 +249,25 @@ def test_slopes_need_labels_on_both_sides():
 
 
 def test_speed_figures_by_hand():
-    """Errors of 0.5, 1 and 3 m/s in four labels with a truth; one sigma is too large for an
-    answer."""
+    """Errors of 0.5, 1 and 3 m/s in four labels with a truth, of which one has no answer."""
     true = np.array([5.0, 5.0, 5.0, 5.0, np.nan])
-    speed, sigma = np.array([5.5, 4.0, 8.0, 5.0, 5.0]), np.array([0.6, 0.6, 1.0, 1.6, 0.1])
+    speed, sigma = np.array([5.5, 4.0, 8.0, 5.0, 5.0]), np.array([0.6, 0.6, 1.0, np.nan, 0.1])
     figures = speed_figures(np.stack([speed, sigma, true]), np.ones(5, np.bool_))
     assert (figures["n"], figures["coverage"], figures["median_mps"]) == (4, 0.75, 1.0)
     assert figures["p95_mps"] == pytest.approx(2.8)
     assert figures["within_1_sigma"] == pytest.approx(1 / 3, abs=1e-3)
     assert figures["within_2_sigma"] == pytest.approx(2 / 3, abs=1e-3)
     assert speed_figures(np.full((3, 5), np.nan), np.ones(5, np.bool_))["coverage"] is None
+
+
+def test_speeds_with_a_large_sigma_are_no_answers(labels_calib_poses):
+    truth = kitti_motion(*labels_calib_poses)
+    sigmas = np.full(len(truth.boxes), 1.4)
+    sigmas[0] = 1.5
+    measured = replace(unmeasured(len(sigmas)), closing_sigma_mps=sigmas, speed_sigma_mps=sigmas)
+    compared = quantities(truth, measured)
+    for name in ("closing", "speed"):
+        assert np.flatnonzero(np.isnan(compared[name][1])).tolist() == [0]
 
 
 def test_errors_of_ttc_as_tsttc_defines_them():
@@ -430,8 +444,9 @@ def test_closing_speeds_of_nuscenes(shared_data):
     assert truth.are_ahead.sum() == 1
     is_front = truth.are_ahead[truth.boxes.sequence]
     z = truth.boxes.distance_m
-    closing = np.stack([measured.closing_mps, measured.closing_sigma_mps, truth.closing_mps])
-    ahead = speed_figures(closing, is_front & (z >= 10.0) & (z < 40.0))
+    ahead = speed_figures(
+        quantities(truth, measured)["closing"], is_front & (z >= 10.0) & (z < 40.0)
+    )
     near, far = figures["bands"]["10-40"], figures["bands"]["40-80"]
     assert 1100 < near["n"] < 1400
     assert 0.75 < near["coverage"] < 0.95

@@ -11,7 +11,7 @@ import numpy as np
 
 from track_range.evaluation.motion.labelled_motion import LabelledMotion
 from track_range.evaluation.motion.measured_motion import MeasuredMotion
-from track_range.evaluation.motion.scores import MAX_SIGMA_MPS
+from track_range.evaluation.motion.scores import answers, between, quantities
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.truth.errors import fraction
 
@@ -27,7 +27,6 @@ _BORDER_PX = 2.0  # distance from the image border within which a box counts as 
 _TURN_RAD_S = 0.1  # smallest yaw rate of a turn: 6 degrees per second
 _BELIEVED = 0.9  # smallest probability of an object that is believed to be static
 _STANDING_MPS = 0.5  # largest speed of a camera that stands
-_MAX_TTC_S = 20.0  # largest true time to collision that is compared
 _MIN_OF_DRIVE = 50  # smallest number of values of a drive that can be the worst one
 
 
@@ -50,7 +49,7 @@ def motion_cells(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, B
     """Masks (N,) of the boxes, by the name of the cell."""
     boxes, own_mps = truth.boxes, truth.speed_mps
     is_moving = own_mps > _MOVING_MPS
-    at = {f"{low}-{high} m": _between(boxes.distance_m, low, high) for low, high in _DISTANCES_M}
+    at = {f"{low}-{high} m": between(boxes.distance_m, low, high) for low, high in _DISTANCES_M}
     is_turn = np.abs(truth.yaw_rad_s) > _TURN_RAD_S
     is_speed_known = np.isfinite(measured.ego_mps)
     x1_px, y1_px, x2_px, y2_px = boxes.xyxy_px.T
@@ -64,26 +63,12 @@ def motion_cells(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, B
         "turn, speed known": is_turn & is_speed_known,
         "turn, speed unknown": is_turn & ~is_speed_known,
         **{
-            f"own speed {name} m/s": _between(own_mps, *limits)
+            f"own speed {name} m/s": between(own_mps, *limits)
             for name, limits in _OWN_SPEEDS_MPS.items()
         },
         "believed static": measured.static > _BELIEVED,
         **{name: np.isin(boxes.class_name, listed) for name, listed in _CLASSES.items()},
         "camera stands": np.abs(truth.ego_mps) < _STANDING_MPS,
-    }
-
-
-def quantities(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, FloatArray]:
-    """Values, sigmas and true values (3, N) of the compared quantities in m/s or s, by name; speeds
-    with a sigma from 1.5 m/s are no answers, and unknown true values are not compared (NaN).
-    """
-    sigmas_mps = np.stack([measured.closing_sigma_mps, measured.speed_sigma_mps])
-    closing_sigma, speed_sigma = np.where(sigmas_mps < MAX_SIGMA_MPS, sigmas_mps, np.nan)
-    true_ttc_s = np.where(_between(truth.ttc_s, 0.0, _MAX_TTC_S), truth.ttc_s, np.nan)
-    return {
-        "closing": np.stack([measured.closing_mps, closing_sigma, truth.closing_mps]),
-        "speed": np.stack([measured.speed_mps, speed_sigma, truth.speed_mps]),
-        "ttc": np.stack([measured.ttc_s, measured.ttc_sigma_s, true_ttc_s]),
     }
 
 
@@ -93,10 +78,7 @@ def quantity_figures(values: FloatArray, rows: BoolArray) -> dict[str, float | N
 
     `rms` and `stated_sigma` are root mean squares, so that they agree if sigma is true.
     """
-    known = rows & np.isfinite(values[2])
-    answered = known & np.isfinite(values).all(axis=0)
-    value, sigma, true = values[:, answered]
-    error = np.abs(value - true)
+    counts, error, sigma = answers(values, rows)
     figures: dict[str, float | None] = dict.fromkeys(("rms", "median_error", "stated_sigma"))
     if len(error):
         rms, stated = np.sqrt(np.mean([error**2, sigma**2], axis=1))
@@ -104,8 +86,7 @@ def quantity_figures(values: FloatArray, rows: BoolArray) -> dict[str, float | N
             zip(figures, np.round([rms, np.median(error), stated], 4).tolist(), strict=True)
         )
     return {
-        "n": int(known.sum()),
-        "coverage": fraction(answered[known]),
+        **counts,
         **figures,
         **{f"within_{k}_sigma": fraction(error <= k * sigma) for k in (1, 2, 3)},
     }
@@ -121,7 +102,3 @@ def worst_drive(by_drive: Mapping[str, Mapping[str, float | None]]) -> str | Non
         if (figures["n"] or 0) * (figures["coverage"] or 0.0) >= _MIN_OF_DRIVE
     }
     return min(fractions, key=fractions.__getitem__, default=None)
-
-
-def _between(values: FloatArray, low: float, high: float) -> BoolArray:
-    return np.asarray((values >= low) & (values < high))

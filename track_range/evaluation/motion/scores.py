@@ -24,7 +24,9 @@ from track_range.ranging.truth.errors import fraction, within_sigmas
 
 BANDS: Mapping[str, tuple[float, float]] = {"10-40": (10.0, 40.0), "40-80": (40.0, 80.0)}  # m
 MAX_SIGMA_MPS = 1.5  # largest sigma of an answer
-_TTC_LIMIT_S = 20.0  # to which measured times are clipped
+_TTC_LIMIT_S = (
+    20.0  # largest true time that is compared, and limit to which measured ones are clipped
+)
 _STEP_S = 0.1  # interval of the size ratio s
 
 _SCALE_ERROR, _CLOSING_ERROR_MPS, _PATH_HALF_WIDTH_M = 0.1, 1.5, 2.0
@@ -34,11 +36,10 @@ distance, error of the closing speed, and lateral offset at which the object wil
 
 def motion_figures(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, Any]:
     """Figures by distance band, class and time to collision, as JSON values."""
-    closing = np.stack([measured.closing_mps, measured.closing_sigma_mps, truth.closing_mps])
-    speed = np.stack([measured.speed_mps, measured.speed_sigma_mps, truth.speed_mps])
+    compared = quantities(truth, measured)
     return {
-        **_by_band_and_class(truth, closing),
-        "speed": _by_band_and_class(truth, speed),
+        **_by_band_and_class(truth, compared["closing"]),
+        "speed": _by_band_and_class(truth, compared["speed"]),
         "states": state_figures(truth, measured),
         "ttc": {
             f"below_{limit}_s": ttc_figures(measured.ttc_s, truth.ttc_s, limit) for limit in (6, 20)
@@ -47,12 +48,44 @@ def motion_figures(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str,
     }
 
 
+def quantities(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, FloatArray]:
+    """Values, sigmas and true values (3, N) of the compared quantities in m/s or s, by name; speeds
+    with a sigma from 1.5 m/s are no answers, and unknown true values are not compared (NaN).
+    """
+    sigmas_mps = np.stack([measured.closing_sigma_mps, measured.speed_sigma_mps])
+    closing_sigma, speed_sigma = np.where(sigmas_mps < MAX_SIGMA_MPS, sigmas_mps, np.nan)
+    true_ttc_s = np.where(between(truth.ttc_s, 0.0, _TTC_LIMIT_S), truth.ttc_s, np.nan)
+    return {
+        "closing": np.stack([measured.closing_mps, closing_sigma, truth.closing_mps]),
+        "speed": np.stack([measured.speed_mps, speed_sigma, truth.speed_mps]),
+        "ttc": np.stack([measured.ttc_s, measured.ttc_sigma_s, true_ttc_s]),
+    }
+
+
+def answers(
+    values: FloatArray, rows: BoolArray
+) -> tuple[dict[str, float | None], FloatArray, FloatArray]:
+    """Number and coverage of known true values, of values, sigmas and true values (3, N) in the
+    rows (N,); errors and sigmas (K,) of the answers.
+    """
+    known = rows & np.isfinite(values[2])
+    is_answered = known & np.isfinite(values).all(axis=0)
+    value, sigma, true = values[:, is_answered]
+    counts = {"n": int(known.sum()), "coverage": fraction(is_answered[known])}
+    return counts, np.abs(value - true), sigma
+
+
+def between(values: FloatArray, low: float, high: float) -> BoolArray:
+    """Whether values are in [low, high)."""
+    return np.asarray((values >= low) & (values < high))
+
+
 def _by_band_and_class(truth: LabelledMotion, values: FloatArray) -> dict[str, Any]:
     """`speed_figures` of speeds, sigmas and true speeds (3, N) by distance band, and by class and
     band.
     """
     z, names = truth.boxes.distance_m, truth.boxes.class_name
-    in_bands = {band: (z >= low) & (z < high) for band, (low, high) in BANDS.items()}
+    in_bands = {band: between(z, *limits) for band, limits in BANDS.items()}
     classes = np.unique(names[np.isfinite(values[2])]).tolist()
     return {
         "bands": {band: speed_figures(values, rows) for band, rows in in_bands.items()},
@@ -70,18 +103,10 @@ def speed_figures(values: FloatArray, rows: BoolArray) -> dict[str, float | None
     """Coverage and errors of speeds, sigmas and true speeds (3, N) in m/s, in the rows (N,); None
     without values.
     """
-    speed_mps, sigma_mps, true_mps = values
-    known = rows & np.isfinite(true_mps)
-    answered = known & np.isfinite(speed_mps) & (sigma_mps < MAX_SIGMA_MPS)
-    error = np.abs(speed_mps - true_mps)[answered]
+    counts, error, sigma_mps = answers(values, rows)
     median, p95 = np.percentile(error, [50, 95]).round(4).tolist() if len(error) else (None, None)
-    figures = {
-        "n": int(known.sum()),
-        "coverage": fraction(answered[known]),
-        "median_mps": median,
-        "p95_mps": p95,
-    }
-    return {**figures, **within_sigmas(error / sigma_mps[answered])}
+    figures = {**counts, "median_mps": median, "p95_mps": p95}
+    return {**figures, **within_sigmas(error / sigma_mps)}
 
 
 def ttc_figures(ttc_s: FloatArray, true_s: FloatArray, limit_s: float) -> dict[str, float | None]:

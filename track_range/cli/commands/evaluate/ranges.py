@@ -1,6 +1,6 @@
 """`track-range evaluate ranges`: distance errors of the ranging methods on labelled boxes."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -69,31 +69,26 @@ def _grids(figures: Mapping[str, Any]) -> list[tables.Grid]:
     return grids
 
 
-def _drive_grids(figures: Mapping[str, Any]) -> list[tables.Grid]:
+def _drive_grids(figures: Mapping[str, Any]) -> Iterator[tables.Grid]:
     """A table per class with a row per drive, of the methods that state a sigma; the title names
     the worst drive of each. Without a second drive, none.
     """
     methods: Mapping[str, Mapping[str, Any]] = figures["methods"]
-    grids = []
     for kind in dict.fromkeys(kind for row in methods.values() for kind in row):
-        columns, worst, drives = list[tables.Column](), list[str](), list[str]()
-        tracks: list[tables.Column] = []
-        for name, row in methods.items():
-            scores = row.get(kind, {})
-            if scores.get("median_sigma_pct") is None:
-                continue
+        of_kind = {name: row[kind] for name, row in methods.items() if kind in row}
+        stated = {name: row for name, row in of_kind.items() if row["median_sigma_pct"] is not None}
+        drives, columns, worst = list[str](), list[tables.Column](), list[str]()
+        for name, scores in stated.items():
             by_drive = scores["by_drive"]
-            drives = list(by_drive)
-            tracks = tables.columns_of(by_drive.values(), [("tracks", "n_tracks", "{:.0f}")])
+            tracks = [] if columns else [("tracks", "n_tracks", "{:.0f}")]
             specs = [(f"{name} {heading}", *rest) for heading, *rest in _DRIVE_COLUMNS]
-            columns += tables.columns_of(by_drive.values(), specs)
-            if scores["worst_drive"] is not None:
-                bias_pct = by_drive[scores["worst_drive"]]["bias_pct"]
-                worst.append(f"{name} {scores['worst_drive']} ({bias_pct:+.1f} %)")
+            drives = list(by_drive)
+            columns += tables.columns_of(by_drive.values(), [*tracks, *specs])
+            if (one := scores["worst_drive"]) is not None:
+                worst.append(f"{name} {one} ({by_drive[one]['bias_pct']:+.1f} %)")
         if len(drives) > 1:
             title = f"{kind} by drive, worst: {', '.join(worst) or tables.NOTHING}"
-            grids.append(tables.grid_of(title, "drive", drives, [*tracks, *columns]))
-    return grids
+            yield tables.grid_of(title, "drive", drives, columns)
 
 
 _DRIVE_COLUMNS: tuple[tables.ColumnSpec, ...] = (
