@@ -43,6 +43,10 @@ WORKLOADS = {
         "accuracy.detection.far_pass",
         "far road users by the size of the input, and with a second pass",
     ),
+    "fixed_parts": (
+        "accuracy.detection.fixed_parts",
+        "boxes that burnt-in text adds, and true boxes that are lost with it",
+    ),
     "fleet": (
         "fleet.throughput",
         "throughput, overhead and memory of workers, and the cost of 1,000 hours",
