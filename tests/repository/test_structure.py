@@ -105,13 +105,13 @@ MOST_STATEMENTS = {
     # what happens in a recording, of several drives (17)
     # a table by drive of labelled distances (23)
     # tables by cell, and by drive where there are several (12)
-    "cli": 2_470,
+    "cli": 2_465,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (143), several drives together, and intervals of rates (49)
     # states of motion by true state and by probability (48)
     # errors and sigmas of motion by cell and by drive (66)
-    "evaluation": 1_846,  # times and region of labelled motion, and every class of nuScenes (10)
+    "evaluation": 1_844,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     "fleet": 3_236,  # what a lost worker counts as is a function that tests call (5)
     # contradictions name their options (9); one registry with priorities and notes (65)
@@ -136,7 +136,7 @@ MOST_STATEMENTS = {
     # a speed that is not measured for a moment is predicted (7)
     # heights of whole boxes (3)
     # another scene has another tracker and other numbers (17), and predicted speeds (1)
-    "pipeline": 956,
+    "pipeline": 957,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120),
