@@ -71,7 +71,7 @@ _SIZES_M = {  # typical length and smallest width of each class, m
     "traffic sign": (0.1, 0.4),
 }
 LENGTH_M, _MIN_WIDTH_M = np.array([_SIZES_M[name] for name in ROAD_CLASSES]).T
-_TYPICAL_WIDTH = 1.2  # typical width over the smallest one
+TYPICAL_WIDTH_M = 1.2 * _MIN_WIDTH_M
 # relative standard deviation of the half size of a vehicle, from the edge that is not cut to its
 # middle
 _HALF_SIGMA = 0.15
@@ -290,7 +290,7 @@ def _beside(
     to the `drive`, by the bearings of their left and right edges, of which some `is_cut` (2, N).
     """
     along_x, along_z = drive
-    half_length, half_width = LENGTH_M[class_id] / 2, _TYPICAL_WIDTH * _MIN_WIDTH_M[class_id] / 2
+    half_length, half_width = LENGTH_M[class_id] / 2, TYPICAL_WIDTH_M[class_id] / 2
     middle = (left + right) / 2
     with np.errstate(divide="ignore"):
         into_end = half_length / np.abs(middle * along_x + along_z)

@@ -19,7 +19,7 @@ from track_range.ranging.filtering.key_distance import GrowthInnovation, KeyDist
 
 # tau, from changes of speed of moving vehicles on 13 of KITTI's sequences: their mean square grows
 # by factors of 3.3, 3.0 and 2.7 from 0.5 over 1 and 2 to 4 s, that of a random walk by 2
-_TAU_S = 1.5
+MANOEUVRE_S = 1.5
 _MAX_LAG_S = 0.6  # of a motion that is corrected
 
 
@@ -57,7 +57,7 @@ class OwnAcceleration(NamedTuple):
         """
         e, f, g = _transition(dt)
         variance = sigma_mps2 * sigma_mps2
-        jerk = 2 / _TAU_S * dt * dt * variance
+        jerk = 2 / MANOEUVRE_S * dt * dt * variance
         P_da, P_aa = self.P_da + dt * self.P_va, self.P_aa
         after_da, after_va = P_da + f * P_aa, self.P_va + g * P_aa
         moved = ConstantVelocity(
@@ -145,6 +145,6 @@ def without_lag(
 
 def _transition(dt: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """e, f and g of the time steps."""
-    e = np.exp(-dt / _TAU_S)
-    g = _TAU_S * (1 - e)
-    return e, _TAU_S * (dt - g), g
+    e = np.exp(-dt / MANOEUVRE_S)
+    g = MANOEUVRE_S * (1 - e)
+    return e, MANOEUVRE_S * (dt - g), g

@@ -34,15 +34,19 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import expit, logit
+from scipy.special import expit, logit, ndtr
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.filtering.distance_filter import FilteredRanges
-from track_range.ranging.filtering.lateral_motion import LateralMotion
-from track_range.ranging.filtering.own_acceleration import without_lag
+from track_range.ranging.filtering.lateral_motion import (
+    LENGTH_M,
+    TYPICAL_WIDTH_M,
+    LateralMotion,
+)
+from track_range.ranging.filtering.own_acceleration import MANOEUVRE_S, without_lag
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.warning.contact import (
     Encounter,
@@ -64,6 +68,9 @@ _MAX_GAP_S = 1.0  # longest time without a value in s; after it the filters rest
 _JERK_NOISE = 2.0
 _INITIAL_ACCELERATION_MPS2 = 1.0  # standard deviation of the acceleration at the start
 _EGO_SPEED_SIGMA_MPS = 0.1  # standard deviation of a value of the ego speed, m/s
+# largest standard deviation of an ego speed that is predicted while it is not measured, m/s: that
+# of the filters
+_MAX_SPEED_SIGMA_MPS = 1.5
 _INITIAL_YAW_RAD_S2 = 0.03  # standard deviation of the change of the yaw rate at the start, rad/s^2
 _BENDS_S = 0.65  # time constant of the mean square of the lateral acceleration, s
 # root mean square of the lateral acceleration at the start of a drive, m/s^2
@@ -73,6 +80,9 @@ _TYPICAL_SPEED_MPS = 12.0
 _MIN_SPEED_MPS = 2.0  # smallest speed for the curvature, m/s
 
 _PERSON = ROAD_CLASSES.index("person")
+# half the width above which the box of a person holds a vehicle that is ridden, too: that of a
+# person with half-spread arms, m
+_MAX_PERSON_HALF_M = 0.6
 _CAN_COLLIDE = np.array([name not in ("traffic light", "traffic sign") for name in ROAD_CLASSES])
 """(road classes,) whether objects of the class can be in the way."""
 
@@ -86,8 +96,6 @@ _MAX_LATERAL_MPS, _MAX_RUNNING_MPS = 12.0, 5.0
 # distance from the ego path, in standard deviations, beyond which a vehicle is beside it, so that
 # it may cut in
 _BESIDE_SIGMA = 2.0
-# static below this speed along the road; prior sigma of moving objects
-_STATIC_MPS, _MOVING_MPS = 2.0, 8.0
 # fraction of objects whose lateral speed is not that of the prior: they cross or turn in; and the
 # prior standard deviations of speeds without a preference, of vehicles and people
 _FREE_FRACTION = 0.1
@@ -118,14 +126,16 @@ _MIN_CUT_IN_GAP_M = 3.0
 # a vehicle cuts in if it was beside the path and will be in it after this time, with at least this
 # probability, and draws away at most at this speed
 _CUT_IN_AHEAD_S, _CUT_IN_PROBABILITY, _MAX_CUT_IN_MPS = 1.0, 0.8, 1.5
-_MANOEUVRE_S = 3.0  # time constant with which accelerations end
 # standard deviations until contact: of the relative acceleration, and of the lateral acceleration of
 # people and of all other road users
 _ACCELERATION_MPS2, _PERSON_ACCELERATION_MPS2, _VEHICLE_ACCELERATION_MPS2 = 0.4, 0.2, 0.15
 # prior standard deviations of the lateral speed relative to the ego path: of vehicles, static
-# objects, oncoming vehicles and people; of the speed of people along the road
+# objects, oncoming vehicles and people
 _LATERAL_MPS, _STATIC_LATERAL_MPS, _ONCOMING_LATERAL_MPS = 1.0, 0.15, 0.3
-_PERSON_LATERAL_MPS, _PERSON_ALONG_MPS = 1.5, 1.5
+_PERSON_LATERAL_MPS = 1.5
+# the same along the road: the largest likelihood of the people of KITTI (without any one of the ten
+# sequences 0.9 to 1.1; of the even ones, which have 9 % of the boxes, 0.4)
+_PERSON_ALONG_MPS = 1.05
 # random walk of the lateral jerk of the ego path, m/s^3 per square root of a second, and the same
 # per m/s^2 of recent lateral acceleration, since a driver who steers goes on steering: with
 # `_BENDS_S`, the largest likelihood of the paths of the twelve KITTI drives with poses at 1.5 to
@@ -137,6 +147,7 @@ class _EgoTrend:
     def __init__(self) -> None:
         # 0 = unknown; yaw_noise: growth of the variance of w' per second
         self.speed_mps = self.acceleration_mps2 = self.yaw_noise = 0.0
+        self.change_mps = 0.0  # change of the speeds u where V becomes known, or unknown
         self.path_mps = _TYPICAL_SPEED_MPS  # speed for the shape of the path, never 0
         self.has_speed = self.has_yaw = False
         self._speed: ConstantVelocity | None = None
@@ -146,23 +157,28 @@ class _EgoTrend:
 
     def update(self, time_s: float, speed_mps: float, yaw_rad_s: float, scale: float) -> None:
         """Update with the values of a frame; NaN = unknown. Another `scale` is no acceleration."""
-        dt = time_s - self._time_s
+        dt, was_known = time_s - self._time_s, self.has_speed
         self._time_s = time_s
 
         # Speed.
-        was_known, self.has_speed = self.has_speed, math.isfinite(speed_mps)
-        R = _EGO_SPEED_SIGMA_MPS**2
-        if not self.has_speed:
-            self._speed = None
-        elif self._speed is None or not was_known or dt > _MAX_GAP_S:
-            self._speed = _state(speed_mps, R, _INITIAL_ACCELERATION_MPS2**2)
-        else:
-            predicted = self._speed.scaled(scale / self._scale).predict(dt, q=_JERK_NOISE**2)
-            self._speed = predicted.update(speed_mps - predicted.x, R)
+        if self._speed is not None:
+            self._speed = self._speed.scaled(scale / self._scale).predict(dt, q=_JERK_NOISE**2)
+            if self._speed.P_xx > _MAX_SPEED_SIGMA_MPS**2:
+                self._speed = None
         self._scale = scale
-        self.acceleration_mps2 = 0.0 if self._speed is None else float(self._speed.v)
-        self.speed_mps = speed_mps if self.has_speed else 0.0
-        self.path_mps = V = max(speed_mps, _MIN_SPEED_MPS) if self.has_speed else _TYPICAL_SPEED_MPS
+        if math.isfinite(speed_mps):
+            R = _EGO_SPEED_SIGMA_MPS**2
+            if self._speed is None:
+                self._speed = _state(speed_mps, R, _INITIAL_ACCELERATION_MPS2**2)
+            self._speed = self._speed.update(speed_mps - self._speed.x, R)
+        before_mps, self.has_speed = self.speed_mps, self._speed is not None
+        known = _state(0.0, 0.0, 0.0) if self._speed is None else self._speed
+        self.acceleration_mps2 = float(known.v)
+        self.speed_mps = speed_mps if math.isfinite(speed_mps) else float(known.x)
+        if self.has_speed:
+            self.path_mps = max(self.speed_mps, _MIN_SPEED_MPS)
+        V = self.path_mps
+        self.change_mps = (self.has_speed != was_known) * (self.speed_mps - before_mps)
 
         # Yaw rate.
         was_known, self.has_yaw = self.has_yaw, math.isfinite(yaw_rad_s)
@@ -284,7 +300,8 @@ class CollisionWarning:
         settings, ego = self.settings, self._ego
         ego.update(time_s, ego_mps, yaw_rad_s, ego_scale)
         last = _WarningState._make(self._tracks.get(tracks.track_id))
-        is_person = tracks.class_id == _PERSON
+        is_rider = lateral.half_width_m > _MAX_PERSON_HALF_M  # False for NaN
+        is_person = (tracks.class_id == _PERSON) & ~is_rider
 
         # Motion of the objects along the road.
         state = self._with_prior_speed(motion.state, is_person)
@@ -292,12 +309,16 @@ class CollisionWarning:
         own, starts = self._own_motion(state, last, time_s, is_known)
 
         # Position relative to the ego path.
-        gap = without_lag(state, own.v - motion.own_mps2, own.P_vv)
-        gap, offset = self._position(tracks, motion, gap, lateral.state)
-        half_width_m = lateral.half_width_m + settings.ego_width_m / 2
+        moves = self._moving(motion)
+        moving = replace(own, v=moves * own.v, P_vv=moves * own.P_vv)
+        gap = without_lag(state, moving.v - motion.own_mps2, moving.P_vv)
+        gap, offset = self._position(is_person, motion, gap, lateral.state)
+        half_m, spread_m = _half_widths(tracks.class_id, lateral.half_width_m, own.x, offset.v)
+        half_width_m = half_m + settings.ego_width_m / 2
         is_beside = np.abs(offset.x) > half_width_m + _BESIDE_SIGMA * np.sqrt(offset.P_xx)
         beside_s = np.where(is_known & is_beside, time_s, last.beside_s)
-        objects = _Objects(is_person, own, gap, offset, half_width_m, time_s - beside_s)
+        extent = replace(offset, P_xx=offset.P_xx + spread_m**2)
+        objects = _Objects(is_person, moving, gap, extent, half_width_m, time_s - beside_s)
         can_collide = lateral.is_current & _CAN_COLLIDE[tracks.class_id]
         is_usable = is_known & can_collide & _is_plausible(objects)
 
@@ -335,21 +356,28 @@ class CollisionWarning:
         return Warnings(probability, active, offset.x, np.sqrt(offset.P_xx))
 
     def _position(
-        self, tracks: Tracks, motion: FilteredRanges, gap: ConstantVelocity, x: ConstantVelocity
+        self,
+        is_person: BoolArray,
+        motion: FilteredRanges,
+        gap: ConstantVelocity,
+        x: ConstantVelocity,
     ) -> tuple[ConstantVelocity, ConstantVelocity]:
         """The distances, and the lateral offsets from the ego path of objects at x from the camera,
         with the error of their scale.
         """
         scale_variance = _scale_variance(motion)
-        gap = _with_scale(gap, scale_variance, moving=self._moving(motion))
-        return gap, self._offset(tracks, gap, _with_scale(x, scale_variance))
+        moves = self._moving(motion)
+        gap = _with_scale(gap, scale_variance, moving=moves)
+        return gap, self._offset(is_person, gap, _with_scale(x, scale_variance), moves)
 
     def _with_prior_speed(self, state: ConstantVelocity, is_person: BoolArray) -> ConstantVelocity:
         """The distances and rates, with the prior speed of people along the road."""
         if not self._ego.has_speed or not is_person.any():
             return state
+        walking = np.ones((1, len(is_person)))
+        free_mps = np.full(len(is_person), _FREE_ALONG_MPS)
         people = _with_rate(
-            state, -self._ego.speed_mps, np.array(_PERSON_ALONG_MPS), np.array(_FREE_ALONG_MPS)
+            state, -self._ego.speed_mps, _PERSON_ALONG_MPS * walking, free_mps, walking
         )
         return ConstantVelocity(*np.where(is_person, people.columns, state.columns))
 
@@ -368,6 +396,7 @@ class CollisionWarning:
         `is_known` (N,) is whether their distances are known.
         """
         predicted = last.own.predict(time_s - last.time_s, q=_JERK_NOISE**2)
+        predicted = replace(predicted, x=predicted.x + self._ego.change_mps)
         u, R = measured.v + self._ego.speed_mps, _RATE_FACTOR * measured.P_vv
         nu = u - predicted.x
         is_stale = ~(time_s - last.known_s <= _MAX_GAP_S)
@@ -408,7 +437,7 @@ class CollisionWarning:
         away.
         """
         settings = self.settings
-        H, h = settings.horizon_s, manoeuvre(settings.horizon_s, _MANOEUVRE_S)
+        H, h = settings.horizon_s, manoeuvre(settings.horizon_s, MANOEUVRE_S)
         least_m = gap.x - settings.front_m + H * np.minimum(gap.v, 0.0)
         least_m += h * np.minimum(own.v - self._ego.acceleration_mps2, 0.0)
         variance = (
@@ -437,7 +466,7 @@ class CollisionWarning:
             if_it_goes_on = contact_probability(
                 encounter,
                 horizon_s=settings.horizon_s,
-                manoeuvre_s=_MANOEUVRE_S,
+                manoeuvre_s=MANOEUVRE_S,
                 ego_length_m=settings.ego_length_m,
             )
             goes_on = np.where(is_person, 1.0, 1.0 - yielding_probability(encounter))
@@ -454,24 +483,18 @@ class CollisionWarning:
             ConstantVelocity(*np.array(state.columns).take(rows, axis=1))
             for state in (objects.gap, objects.offset)
         )
-        u, u_change, change_variance = gap.v + ego.speed_mps, own.v[rows], own.P_vv[rows]
+        u, u_change = gap.v + ego.speed_mps, own.v[rows]
         stops_s = np.full(len(rows) + 1, np.inf)
         if ego.has_speed:
-            # Probability that an object moves: half of all are static, a priori.
-            moving = gap.P_vv + _MOVING_MPS**2
-            log_odds = (u * u * (1 / moving - 1 / gap.P_vv) + np.log(moving / gap.P_vv)) / 2
-            moves = 1.0 - expit(log_odds)
-            variance = moves * (gap.P_vv + (1.0 - moves) * u * u)
-            u, u_change, change_variance = moves * u, moves * u_change, moves * change_variance
-            gap = ConstantVelocity(gap.x, u - ego.speed_mps, gap.P_xx, moves * gap.P_xv, variance)
             changes = np.append(u_change, ego.acceleration_mps2)
-            stops_s = stop_s(np.append(u, ego.speed_mps), changes, _MANOEUVRE_S)
+            stops_s = stop_s(np.append(u, ego.speed_mps), changes, MANOEUVRE_S)
         return Encounter(
             gap=replace(gap, x=gap.x - settings.front_m),
             object_mps=u,
             object_mps2=u_change,
-            object_stop_s=stops_s[:-1],
-            acceleration_sigma_mps2=np.sqrt(change_variance + _ACCELERATION_MPS2**2),
+            # people need no time to stop or start
+            object_stop_s=np.where(objects.is_person[rows], np.inf, stops_s[:-1]),
+            acceleration_sigma_mps2=np.sqrt(own.P_vv[rows] + _ACCELERATION_MPS2**2),
             ego_mps=ego.speed_mps,
             ego_mps2=ego.acceleration_mps2,
             ego_stop_s=float(stops_s[-1]),
@@ -485,10 +508,14 @@ class CollisionWarning:
         )
 
     def _offset(
-        self, tracks: Tracks, gap: ConstantVelocity, x: ConstantVelocity
+        self,
+        is_person: BoolArray,
+        gap: ConstantVelocity,
+        x: ConstantVelocity,
+        moves: FloatArray | float,
     ) -> ConstantVelocity:
         """Lateral offset of the objects, at x from the camera, from the ego path and its rate, with
-        the errors of the path.
+        the errors of the path; `moves` is the probability that they move.
         """
         ego, w, V = self._ego, self._ego.yaw, self._ego.path_mps
         T = np.maximum(gap.x, 0.0) / V
@@ -506,15 +533,13 @@ class CollisionWarning:
             * turning,
             x.P_vv + T * T * (P_ww + T * (P_wa + T * (P_aa / 4 + T * (q / 20)))) * turning**2,
         )
-        # Prior of the rate.
-        sigma_mps = np.full(len(tracks), _LATERAL_MPS)
-        if ego.has_speed:
-            sigma_mps = np.where(np.abs(u) < _STATIC_MPS, _STATIC_LATERAL_MPS, sigma_mps)
-            sigma_mps = np.where(u < -_STATIC_MPS, _ONCOMING_LATERAL_MPS, sigma_mps)
-        is_person = tracks.class_id == _PERSON
-        sigma_mps = np.where(is_person, _PERSON_LATERAL_MPS, sigma_mps)
+        # Prior of the rate: of static, oncoming and other vehicles; people may all cross.
+        oncoming = moves * ndtr(-u / np.sqrt(gap.P_vv)) if ego.has_speed else np.zeros_like(u)
+        weights = np.array([1.0 - moves + 0 * u, oncoming, moves - oncoming])
+        sigmas_mps = np.array([[_STATIC_LATERAL_MPS], [_ONCOMING_LATERAL_MPS], [_LATERAL_MPS]])
+        sigmas_mps = np.where(is_person, _PERSON_LATERAL_MPS, sigmas_mps)
         free_mps = np.where(is_person, _FREE_PERSON_MPS, _FREE_LATERAL_MPS)
-        return _with_rate(offset, 0.0, sigma_mps, free_mps)
+        return _with_rate(offset, 0.0, sigmas_mps, free_mps, weights)
 
     def _cut_ins(self, encounter: Encounter, since_beside_s: FloatArray) -> FloatArray:
         """(K,) probability that an object moves from the side into the ego path at a short
@@ -531,8 +556,28 @@ class CollisionWarning:
             _CUT_IN_AHEAD_S,
         )
         enters = (since_beside_s <= _BESIDE_S) & (offset.x * offset.v < 0)
-        is_along = (encounter.object_mps > _STATIC_MPS) & (gap.v <= _MAX_CUT_IN_MPS)
-        return np.where(is_near & is_along & enters, fraction, 0.0)
+        is_along = ndtr(encounter.object_mps / np.sqrt(gap.P_vv))
+        enters &= is_near & (gap.v <= _MAX_CUT_IN_MPS)
+        return np.where(enters, fraction * is_along, 0.0)
+
+
+def _half_widths(
+    class_id: IntArray, seen_m: FloatArray, along_mps: FloatArray, across_mps: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(2, N) half the extents of objects across the ego path when it reaches them, and their
+    standard deviations.
+
+    A box that is `seen_m` wide on either side of its middle holds the side of a vehicle that has
+    turned, too. A vehicle that drives along the road, or is parked, will be as wide as it is;
+    one that crosses as long. The extent is between that of its class in the direction in which it
+    moves, and the seen one.
+    """
+    along_mps = np.abs(along_mps) + _LATERAL_MPS
+    sizes_m = LENGTH_M[class_id], TYPICAL_WIDTH_M[class_id]
+    turned_m = sizes_m[0] * np.abs(across_mps) + sizes_m[1] * along_mps
+    moved_m = turned_m / (2 * np.hypot(along_mps, across_mps))
+    least_m = np.where(class_id == _PERSON, seen_m, np.minimum(seen_m, moved_m))
+    return (least_m + seen_m) / 2, (seen_m - least_m) / math.sqrt(12)
 
 
 def _is_plausible(objects: _Objects) -> BoolArray:
@@ -578,16 +623,21 @@ def _free_motion(ranges: Ranges | None, last: _WarningState, time_s: float) -> C
 
 
 def _with_rate(
-    state: ConstantVelocity, rate_mps: float, sigma_mps: FloatArray, free_mps: FloatArray
+    state: ConstantVelocity,
+    rate_mps: float,
+    sigmas_mps: FloatArray,
+    free_mps: FloatArray,
+    weights: FloatArray,
 ) -> ConstantVelocity:
-    """The states after a pseudo-measurement of their rates, with the given sigma for most objects
-    and the larger sigma `free_mps` for a fraction `_FREE_FRACTION` of them: mean and covariance of
-    both.
+    """The states after a pseudo-measurement of their rates, with one of the sigmas (K, N) of the
+    probabilities `weights` (K, N) for most objects, and the larger sigma `free_mps` for a fraction
+    `_FREE_FRACTION` of them: mean and covariance of all.
     """
-    R = np.array(np.broadcast_arrays(sigma_mps, free_mps, state.v)[:2]) ** 2
+    R = np.array([*sigmas_mps, free_mps]) ** 2
     S = state.P_vv + R
     nu = rate_mps - state.v
-    prior = np.array([[1.0 - _FREE_FRACTION], [_FREE_FRACTION]])
+    free = np.full_like(state.v, _FREE_FRACTION)
+    prior = np.array([*((1.0 - _FREE_FRACTION) * weights), free])
     likelihood = prior * np.exp(-nu * nu / (2.0 * S)) / np.sqrt(S)
     w = likelihood / np.maximum(likelihood.sum(axis=0), 1e-300)
     K_x, K_v = state.P_xv / S, state.P_vv / S

@@ -30,7 +30,7 @@ def drive(
     path: Path,
     *,
     seconds: float,
-    ego_mps: float = math.nan,
+    ego_mps: float | Callable[[float], float] = math.nan,
     yaw_rad_s: float | Callable[[float], float] = math.nan,
     class_id: int = CAR,
     width_m: float = 1.8,
@@ -52,6 +52,7 @@ def drive(
     for time_s in np.arange(0, seconds, STEP_S).tolist():
         x_m, z_m = path(time_s)
         yaw = yaw_rad_s(time_s) if callable(yaw_rad_s) else yaw_rad_s
+        V = ego_mps(time_s) if callable(ego_mps) else ego_mps
         middle, half = 620.0 + 700.0 * x_m / z_m, 350.0 * width_m / z_m
         box: FloatArray = np.array([[middle - half, 187.0, middle + half, 187.0 + 1000.0 / z_m]])
         tracks = Tracks(
@@ -65,8 +66,8 @@ def drive(
         sigma_m = math.hypot(0.01, size_sigma) * z_m
         systematic_m = np.array([size_sigma * z_m]) if size_sigma else None
         measured = {"fused": Ranges(ids, np.array([distance_m]), np.array([sigma_m]), systematic_m)}
-        motion = filters.update(measured, time_s, ego=EgoMotion(ego_mps))["fused"]
-        own_mps = motion.state.v + ego_mps if math.isfinite(ego_mps) else 0.0
+        motion = filters.update(measured, time_s, ego=EgoMotion(V))["fused"]
+        own_mps = motion.state.v + V if math.isfinite(V) else 0.0
         side = lateral.update(
             tracks, motion.ranges.distance_m, time_s, yaw_rad_s=yaw, own_mps=own_mps
         )
@@ -74,9 +75,7 @@ def drive(
         if measured_m is not None:
             ranges = Ranges(ids, np.array([measured_m(time_s)]), ranges.sigma_m)
         results.append(
-            warning.update(
-                tracks, motion, side, time_s, ego_mps=ego_mps, yaw_rad_s=yaw, ranges=ranges
-            )
+            warning.update(tracks, motion, side, time_s, ego_mps=V, yaw_rad_s=yaw, ranges=ranges)
         )
     return results
 
@@ -109,6 +108,25 @@ def test_standing_car_ahead(ego_mps: float) -> None:
     assert 2.0 < 5.0 - first_alarm_s(results) < 3.6
     assert results[-1].active[0]
     assert results[-1].probability[0] > 0.95
+
+
+@pytest.mark.parametrize("gap_s", [0.3, 1.5])
+def test_gap_in_the_ego_speed_keeps_the_evidence(gap_s: float) -> None:
+    """The speed of the ego vehicle is unknown for a while before an alarm; the relative motion is
+    measured all the time, so that the test goes on."""
+    path: Path = lambda t: (0.2, 61.5 - 12 * t)  # noqa: E731
+    known = drive(path, seconds=4.9, ego_mps=12.0, yaw_rad_s=0.0)
+    start_s = first_alarm_s(known)
+    results = drive(
+        path,
+        seconds=4.9,
+        ego_mps=lambda t: math.nan if start_s - gap_s < t < start_s - 0.1 else 12.0,
+        yaw_rad_s=0.0,
+    )
+    assert first_alarm_s(results) < start_s + 0.25
+    before = round((start_s - gap_s) / STEP_S)
+    least = min(float(result.probability[0]) for result in results[before:])
+    assert least > float(known[before].probability[0]) - 0.1
 
 
 @pytest.mark.parametrize(
@@ -277,6 +295,27 @@ def test_person_who_appears_late() -> None:
         width_m=0.5,
     )
     assert first_alarm_s(results) <= 0.6
+
+
+@pytest.mark.parametrize(("width_m", "starts"), [(0.9, True), (2.0, False)])
+def test_rider_whose_box_is_called_person(width_m: float, starts: bool) -> None:
+    """Comes from the right at 3 m/s and could stop beside the path with less than 3 m/s2 until
+    1.1 s before the contact; people do not give way, riders do."""
+    path: Path = lambda t: (12.0 - 3 * t, 41.5 - 10 * t)  # noqa: E731
+    results = drive(
+        path, seconds=2.9, ego_mps=10.0, yaw_rad_s=0.0, class_id=PERSON, width_m=width_m
+    )
+    assert (first_alarm_s(results) < math.inf) == starts
+
+
+def test_vehicle_that_passes_obliquely() -> None:
+    """A parked car whose box holds its side is 2.6 m wide; its inner edge is 0.7 m beside the ego
+    vehicle, that of the box in its middle's depth only 0.3 m."""
+    results = drive(
+        lambda t: (2.4, 41.5 - 10 * t), seconds=3.5, ego_mps=10.0, yaw_rad_s=0.0, width_m=2.6
+    )
+    assert first_alarm_s(results) == math.inf
+    assert float(results[30].probability[0]) < 0.3
 
 
 def test_vehicle_that_stops_in_a_queue() -> None:
