@@ -261,7 +261,7 @@ class CollisionWarning:
         ...     sideways = lateral.update(tracks, motion.ranges.distance_m, time_s)
         ...     warnings = warning.update(tracks, motion, sideways, time_s, ego_mps=15.0, yaw_rad_s=0.0)
         >>> warnings.active.tolist(), round(float(warnings.probability[0]), 2)
-        ([True], 0.98)
+        ([True], 0.9)
     """
 
     def __init__(self, settings: WarningSettings | None = None) -> None:

@@ -42,8 +42,8 @@ class WarningSettings:
     """
 
     horizon_s: float = 3.5
-    on_probability: float = 0.9
-    person_probability: float = 0.5
+    on_probability: float = 0.75
+    person_probability: float = 0.4
     off_probability: float = 0.1
     min_on_s: float = 0.0
     uncertain_on_s: float = 0.0
