@@ -35,8 +35,8 @@ _INITIAL_ACCELERATION_MPS2 = 3.0  # standard deviation of the acceleration at th
 # Longest time without a measurement for which a speed is predicted: filters of distances and
 # warnings go on with it. It is unknown after it.
 MAX_PREDICTED_S = 1.0
-# innovations beyond this number of standard deviations are not of the car, and those after one,
-# while something else shows
+# innovations beyond this number of standard deviations are not of the car, and after one, or after
+# an unknown speed, when something else may show
 _OUTLIER_SIGMA, _OTHER_SIGMA = 3.0, 2.0
 _BRAKING_MPS2, _ONSET_S = 10.0, 0.1  # full braking on a dry road, and the time in which it begins
 # distance between two frames from which a first speed is not used until a second one agrees
@@ -127,9 +127,11 @@ class SpeedFilter:
         if self._state is None:
             return math.isfinite(speed_mps)
         state = self._state.predicted(max(middle_s, self._state.time_s))
-        n_sigma = _OUTLIER_SIGMA if self._n_outliers == 0 else _OTHER_SIGMA
+        since_s = middle_s - self._measured_s
+        is_followed = self._n_outliers == 0 and since_s <= MAX_PREDICTED_S
+        n_sigma = _OUTLIER_SIGMA if is_followed else _OTHER_SIGMA
         # a driver may have begun to brake at the last measurement
-        braked_mps = _BRAKING_MPS2 * min(middle_s - self._measured_s, _ONSET_S)
+        braked_mps = _BRAKING_MPS2 * min(since_s, _ONSET_S)
         other_mps = math.sqrt(abs(systematic_mps**2 - self._systematic_mps**2))
         limit_mps = n_sigma * math.hypot(state.sigma_mps, sigma_mps, other_mps) + braked_mps
         return abs(speed_mps - float(state.mean[0])) <= limit_mps

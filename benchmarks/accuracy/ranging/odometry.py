@@ -43,6 +43,7 @@ from track_range.tracking.camera_motion import CameraMotion
 MIN_SPEED_MPS = 3.0  # smallest true speed of a relative error
 # true speeds of a camera that moves and of one at rest, and the reported one that says the other
 MOVING_MPS, REST_MPS, WRONG_MPS = 2.0, 0.05, 0.5
+GRAVITY_MPS2 = 9.81  # no car changes its speed faster
 _OXTS_YAW_RATE = 22  # column of the angular rate about the upward axis in oxts
 _N_INTERPOLATED = 13  # frames of KITTI odometry without a measured yaw rate
 KITTI_HEIGHT_M = 1.65  # of the cameras above the road (Geiger et al., 2013)
@@ -220,10 +221,21 @@ def _method_figures(drive: OdometryDrive, create: Callable[[BackgroundFlow], Odo
         "within_2_sigma": float((np.abs(in_sigmas) <= 2).mean()) if use.any() else None,
         "rms_sigmas": float(np.sqrt((in_sigmas**2).mean())) if use.any() else None,
         **speed_faults(true_mps, speed_mps, sigma_mps),
+        "n_jumps": _n_jumps(drive, speed_mps),
+        "predicted": float(np.mean([motion.is_predicted for motion in motions[1:]])),
         "yaw_median_mrad_s": median_or_none(yaw_error, 1e3),
         "yaw_p95_mrad_s": quantile_or_none(yaw_error, 0.95, 1e3),
         "ms": median_ms(times_s),
     }
+
+
+def _n_jumps(drive: OdometryDrive, speed_mps: FloatArray) -> int:
+    """Speeds (F - 1,) of frames that change by more than 1 g since the previous frame, beyond the
+    true change.
+    """
+    dt_s = np.diff([frame.time_s for frame in drive.frames])[1:]
+    change_mps = np.abs(np.diff(speed_mps) - np.diff(drive.true_mps[1:]))
+    return int((change_mps > GRAVITY_MPS2 * dt_s).sum())
 
 
 def speed_faults(
