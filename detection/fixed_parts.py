@@ -18,13 +18,12 @@ blocks, since letters have more contrast than a car behind them.
 """
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from track_range.detection.detections import Detections
-from track_range.foundation.arrays import BoolArray, FloatArray32, Image, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray32, Image
 from track_range.foundation.files.input_files import counted
 
 # longer side of the grid of compared pixels; their neighbours are those of the whole image, in
@@ -46,20 +45,18 @@ _N_TILES, _MIN_TILES, _MIN_CHANGE, _CHANGED = 8, 8, 0.5, 0.5
 # of a fixed pixel: half of the pixels of text have more, hardly any of a vehicle that is followed
 _MIN_IMAGES, _MIN_COHERENCE = 6, 0.85
 _UNCHANGED = 0.5  # largest change of a fixed slope, relative to its square
+# largest distance of the centre of a box from that of the image, of its width and height, in which
+# it is kept: near the vanishing point of a straight road, cars do not move either before a steady
+# camera, and text is not there
+_MIDDLE = (0.2, 0.25)
 _BLOCK = 3  # side of the blocks that are counted in boxes, grid pixels
 # least fraction of fixed pixels in a box, and of fixed blocks in its textured ones: a car behind
 # text has up to 0.05 and 0.4, text and things on the dashboard at least 0.08 and 0.8
 _LEAST_FIXED, _MOST_TEXTURE = 0.05, 0.6
 
 
-class FixedPixels(NamedTuple):
-    """Pixels of the image that do not move with the scene."""
-
-    is_fixed: BoolArray  # (H // stride_px, W // stride_px)
-    stride_px: int  # distance of the compared pixels in the image
-
-
-NOTHING_FIXED = FixedPixels(np.zeros((0, 0), np.bool_), 1)
+def _nothing_fixed() -> BoolArray:
+    return np.zeros((0, 0), np.bool_)
 
 
 @dataclass(slots=True)
@@ -67,7 +64,8 @@ class FixedParts:
     """What does not move in the images of one stream, as far as they showed it."""
 
     n_images: int = 0  # number of compared images, at most those that are remembered
-    pixels: FixedPixels = NOTHING_FIXED
+    # (H // stride, W // stride) pixels that do not move with the scene; (0, 0) = not known
+    is_fixed: BoolArray = field(default_factory=_nothing_fixed)
     n_left_out: int = 0  # number of boxes that were left out
     _last_s: float = -np.inf
     _image_hw: tuple[int, ...] = (0, 0)
@@ -75,8 +73,6 @@ class FixedParts:
     _last: FloatArray32 = field(default_factory=lambda: np.zeros((2, 0, 0), np.float32))
     _mean: FloatArray32 = field(default_factory=lambda: np.zeros((2, 0, 0), np.float32))
     _square: FloatArray32 = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-    # (h + 1, w + 1) number of fixed pixels up to a pixel
-    _n_fixed: IntArray = field(default_factory=lambda: np.zeros((1, 1), np.int64))
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -100,13 +96,13 @@ class FixedParts:
         stride_px = _stride_px(image)
         coarse = _coarse_slopes(image, stride_px)
         if is_first:
-            self.n_images, self.pixels = 0, NOTHING_FIXED
+            self.n_images, self.is_fixed = 0, _nothing_fixed()
             self._last, self._image_hw = coarse, image.shape[:2]
         elif _has_moved(self._last, coarse):
             self._last = coarse
-            self._compare(_slopes(image, stride_px), stride_px)
+            self._compare(_slopes(image, stride_px))
 
-    def _compare(self, slopes: FloatArray32, stride_px: int) -> None:
+    def _compare(self, slopes: FloatArray32) -> None:
         """Add slopes in which the scene has moved."""
         if self.n_images == 0:
             self._mean, self._square = np.zeros_like(slopes), np.zeros_like(slopes[0])
@@ -116,21 +112,22 @@ class FixedParts:
         if n < _MIN_IMAGES:
             return
         same = n * _squared(self._mean) - self._square
-        is_fixed = same > _MIN_COHERENCE * (n - 1) * np.maximum(self._square, _TEXTURE)
-        self.pixels = FixedPixels(is_fixed, stride_px)
-        self._n_fixed = cv2.integral(is_fixed.view(np.uint8)).astype(np.int64)
+        self.is_fixed = same > _MIN_COHERENCE * (n - 1) * np.maximum(self._square, _TEXTURE)
 
     def moving(self, detections: Detections, image: Image) -> Detections:
         """The detections in the image of the last `add` without those on fixed parts."""
-        if self.pixels is NOTHING_FIXED:
+        if not self.is_fixed.size:
             return detections
-        size = 2 * self.pixels.is_fixed.shape[::-1]
-        edges = np.clip(detections.xyxy_px / self.pixels.stride_px, 0, size)
+        edges = np.clip(detections.xyxy_px / _stride_px(image), 0, 2 * self.is_fixed.shape[::-1])
         x1, y1, x2, y2 = edges.astype(np.int64).T
-        n = self._n_fixed
+        # number of fixed pixels up to a pixel
+        n = cv2.integral(self.is_fixed.view(np.uint8)).astype(np.int64)
         n_fixed = n[y2, x2] - n[y1, x2] - n[y2, x1] + n[y1, x1]
         is_large = (x2 - x1 >= _BLOCK) & (y2 - y1 >= _BLOCK)
+        centre = (detections.xyxy_px[:, :2] + detections.xyxy_px[:, 2:]) / 2
+        from_middle = np.abs(centre / image.shape[1::-1] - 0.5)
         is_possible = is_large & (n_fixed >= _LEAST_FIXED * (x2 - x1) * (y2 - y1))
+        is_possible &= (from_middle > _MIDDLE).any(axis=1)
         is_moving = np.ones(len(detections), np.bool_)
         for row in np.flatnonzero(is_possible).tolist():  # few: most boxes show no fixed pixel
             window = slice(y1[row], y2[row]), slice(x1[row], x2[row])
@@ -141,7 +138,7 @@ class FixedParts:
     def _is_fixed_in(self, image: Image, window: tuple[slice, slice]) -> bool:
         """Whether most of the texture in a window of the grid, which has a block, is fixed."""
         rows, columns = window
-        stride_px, is_fixed = self.pixels.stride_px, self.pixels.is_fixed[window]
+        stride_px, is_fixed = _stride_px(image), self.is_fixed[window]
         part = image[
             rows.start * stride_px : rows.stop * stride_px + 1,
             columns.start * stride_px : columns.stop * stride_px + 1,
@@ -168,14 +165,14 @@ def _slopes(image: Image, stride_px: int) -> FloatArray32:
     pixel.
     """
     grey = image if image.ndim == 2 else image[:, :, 1]
-    height = (grey.shape[0] - 1) // stride_px
-    width = (grey.shape[1] - 1) // stride_px
-    rows, columns = height * stride_px, width * stride_px
-    sampled = grey[:rows:stride_px, :columns:stride_px]
-    slopes = np.empty((2, height, width), np.float32)
-    np.subtract(grey[:rows:stride_px, 1 : columns + 1 : stride_px], sampled, slopes[0], dtype="f4")
-    np.subtract(grey[1 : rows + 1 : stride_px, :columns:stride_px], sampled, slopes[1], dtype="f4")
-    return slopes
+    height = (grey.shape[0] - 1) // stride_px * stride_px
+    width = (grey.shape[1] - 1) // stride_px * stride_px
+
+    def at(down_px: int, right_px: int) -> FloatArray32:
+        part = grey[down_px : height + down_px, right_px : width + right_px]
+        return part[::stride_px, ::stride_px].astype(np.float32)
+
+    return np.stack([at(0, 1) - at(0, 0), at(1, 0) - at(0, 0)])
 
 
 def _squared(slopes: FloatArray32) -> FloatArray32:

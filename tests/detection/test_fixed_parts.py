@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from track_range.detection.detections import Detections
-from track_range.detection.fixed_parts import NOTHING_FIXED, FixedParts
+from track_range.detection.fixed_parts import FixedParts
 
 SIZE_PX = 400, 224
 STEP_S = 0.1
@@ -75,7 +75,7 @@ def test_a_box_on_a_clock_is_left_out_while_the_scene_moves(opacity):
 
 def test_nothing_is_learnt_while_the_scene_stands():
     parts, image = seen(Scene(1, 0.0), 60, clock)
-    assert parts.pixels is NOTHING_FIXED
+    assert not parts.is_fixed.size
     assert parts.n_images == 0
     assert len(parts.moving(boxes(TEXT_BOX), image)) == 1
     assert parts.notes == ()
@@ -103,29 +103,37 @@ def test_a_car_behind_text_is_kept():
     assert len(parts.moving(boxes(near), image)) == 1
 
 
+def test_a_vehicle_ahead_is_kept_before_a_steady_camera():
+    """Its pixels never move, as near the vanishing point of a straight road."""
+    parts, image = seen(Scene(1, 7.0), 40, has_vehicle=True)
+    x1, y1, x2, y2 = map(int, VEHICLE_BOX)
+    assert parts.is_fixed[y1:y2, x1:x2].mean() > 0.1
+    assert len(parts.moving(boxes(VEHICLE_BOX), image)) == 1
+
+
 def test_what_was_fixed_may_begin_to_move():
     scene, parts = Scene(6, 7.0), FixedParts()
     for index in range(250):
         text = "LOGO" if index < 40 else ""
         parts.add(scene.image(index, text), index * STEP_S)
         if index == 39:
-            assert parts.pixels.is_fixed.any()
-    assert not parts.pixels.is_fixed.any()
+            assert parts.is_fixed.any()
+    assert not parts.is_fixed.any()
 
 
 def test_fixed_pixels_are_those_of_the_text():
     parts, _ = seen(Scene(1, 7.0), 40, lambda index: "HHHH")
-    x1, y1, x2, y2 = (int(edge) // parts.pixels.stride_px for edge in TEXT_BOX)
-    is_fixed = parts.pixels.is_fixed
+    x1, y1, x2, y2 = map(int, TEXT_BOX)
+    is_fixed = parts.is_fixed
     assert is_fixed[y1:y2, x1:x2].mean() > 0.1
     assert is_fixed[y1 - 3 : y2 + 3, x1 - 3 : x2 + 3].sum() >= 0.99 * is_fixed.sum()
 
 
 def test_images_of_another_size_start_again():
     parts, image = seen(Scene(1, 7.0), 40, clock)
-    assert parts.pixels.is_fixed.any()
+    assert parts.is_fixed.any()
     parts.add(image[:100, :300], 40 * STEP_S)  # at once
-    assert parts.pixels is NOTHING_FIXED
+    assert not parts.is_fixed.size
     assert len(parts.moving(boxes(TEXT_BOX), image[:100, :300])) == 1
 
 
