@@ -209,6 +209,7 @@ def _method_figures(drive: OdometryDrive, create: Callable[[BackgroundFlow], Odo
     yaw_error = np.abs(yaw_rad_s - drive.true_yaw_rad_s[1:])
     yaw_error = yaw_error[np.isfinite(yaw_error)]
     is_known, is_driving = np.isfinite(speed_mps), true_mps > MIN_SPEED_MPS
+    is_predicted = np.array([motion.is_predicted for motion in motions[1:]])[is_known]
     use = is_known & is_driving
     error = (speed_mps / np.where(is_driving, true_mps, np.nan) - 1.0)[use]
     in_sigmas = ((speed_mps - true_mps) / sigma_mps)[is_known]
@@ -222,7 +223,7 @@ def _method_figures(drive: OdometryDrive, create: Callable[[BackgroundFlow], Odo
         "rms_sigmas": float(np.sqrt((in_sigmas**2).mean())) if use.any() else None,
         **speed_faults(true_mps, speed_mps, sigma_mps),
         "n_jumps": _n_jumps(drive, speed_mps),
-        "predicted": float(np.mean([motion.is_predicted for motion in motions[1:]])),
+        "predicted": float(is_predicted.mean()) if len(is_predicted) else None,
         "yaw_median_mrad_s": median_or_none(yaw_error, 1e3),
         "yaw_p95_mrad_s": quantile_or_none(yaw_error, 0.95, 1e3),
         "ms": median_ms(times_s),
