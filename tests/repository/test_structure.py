@@ -87,6 +87,7 @@ MOST_STATEMENTS = {
     # need (69), and which the warning does not correct again (4)
     # ego speeds through gaps, and the extents of vehicles by their motion, which end six of seven
     # false alarms on KITTI (18)
+    # settings of the warning check themselves (3)
     "ranging": 7_288,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     "api": 106,  # names that are imported when they are used, and their former names (22)
@@ -120,6 +121,7 @@ MOST_STATEMENTS = {
     # one registry with priorities and notes (5); functions of packages guarded in one place (50);
     # the flow of long tracks, below the two estimators that follow corners (35)
     # the interval of a rate (6); probabilities of options are at most 1 (4)
+    # settings check themselves, and a column that is missing is named (4)
     "foundation": 1_613,
     # each stage has a frozen output, and `FrameResult` consists of them (165); the detection and the
     # scale report (9)
@@ -149,12 +151,14 @@ MOST_STATEMENTS = {
     # speeds of cameras that look back (23)
     # the mounting in the summary (5)
     # a given speed without satellites is named (3)
+    # images near keyframes alone (3)
     "recording": 7_364,
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)
     # the shape of an estimate of a camera (20)
     # sentences of events with sigmas, predictions as such, and what is not known (36)
     # columns that were added after all others, before those of packages (2)
+    # settings of events check themselves (3)
     "results": 2_686,
     # imports of one file for each idea of the settings (45); the parts of a run report, each in a class
     # of its own with what it imports (205); the options of its recording (15); notes on packages
@@ -170,6 +174,7 @@ MOST_STATEMENTS = {
     # a height in the place of that of the calibration (4), and a camera to the rear (2)
     # the pre-pass for what never moves (5)
     # tracker and odometry of each scene (4)
+    # what an empty scenario lacks (2)
     "run": 2_413,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that
     # look to any side from any place of the vehicle (24)
@@ -178,6 +183,7 @@ MOST_STATEMENTS = {
     # the picture of the estimate of a camera (62)
     # the share within 25 % (1)
     # thresholds of the alarm beside the probability of contact, and sigmas of events (21)
+    # what a run without road users says (2)
     "views": 2_637,
     "track_range": 99,  # a module of errors and one of evaluations, each with its names for type checkers (18)
 }
