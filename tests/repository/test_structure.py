@@ -106,9 +106,9 @@ MOST_STATEMENTS = {
     # the values of a pair with those of its evidence (+20)
     # the mounting of a rig file (2)
     # what happens in a recording, of several drives (17)
-    # a table by drive of labelled distances (23)
+    # a table by drive of labelled distances (25)
     # tables by cell, and by drive where there are several (12)
-    "cli": 2_465,
+    "cli": 2_467,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (143), several drives together, and intervals of rates (49)

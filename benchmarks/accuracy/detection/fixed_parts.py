@@ -58,11 +58,11 @@ def _add_drive(
     seconds: float,
 ) -> None:
     scene, rig = make_scenario(scenario, seed=seed, seconds=seconds), kitti_like_rig()
-    times_s = np.arange(0.0, seconds, _STEP_S)
+    times_s = np.arange(0.0, seconds, _STEP_S).tolist()
     renderer, labels = Renderer(scene, rig), label_scene(scene, times_s, camera=rig.left)
     plain = [
         Frame(number, time_s, renderer.render(time_s), None)
-        for number, time_s in enumerate(times_s.tolist())
+        for number, time_s in enumerate(times_s)
     ]
     boxes_of_plain = [network.detect(frame.left) for frame in plain]
     for edit in _EDITS:

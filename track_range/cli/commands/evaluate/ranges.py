@@ -70,25 +70,30 @@ def _grids(figures: Mapping[str, Any]) -> list[tables.Grid]:
 
 
 def _drive_grids(figures: Mapping[str, Any]) -> Iterator[tables.Grid]:
-    """A table per class with a row per drive, of the methods that state a sigma; the title names
-    the worst drive of each. Without a second drive, none.
+    """A table per class with a row per drive, of the methods that state a sigma; without a second
+    drive, none.
     """
     methods: Mapping[str, Mapping[str, Any]] = figures["methods"]
     for kind in dict.fromkeys(kind for row in methods.values() for kind in row):
         of_kind = {name: row[kind] for name, row in methods.items() if kind in row}
         stated = {name: row for name, row in of_kind.items() if row["median_sigma_pct"] is not None}
-        drives, columns, worst = list[str](), list[tables.Column](), list[str]()
-        for name, scores in stated.items():
-            by_drive = scores["by_drive"]
-            tracks = [] if columns else [("tracks", "n_tracks", "{:.0f}")]
-            specs = [(f"{name} {heading}", *rest) for heading, *rest in _DRIVE_COLUMNS]
-            drives = list(by_drive)
-            columns += tables.columns_of(by_drive.values(), [*tracks, *specs])
-            if (one := scores["worst_drive"]) is not None:
-                worst.append(f"{name} {one} ({by_drive[one]['bias_pct']:+.1f} %)")
-        if len(drives) > 1:
-            title = f"{kind} by drive, worst: {', '.join(worst) or tables.NOTHING}"
-            yield tables.grid_of(title, "drive", drives, columns)
+        if any(len(scores["by_drive"]) > 1 for scores in stated.values()):
+            yield _drive_grid(kind, stated)
+
+
+def _drive_grid(kind: str, scores: Mapping[str, Mapping[str, Any]]) -> tables.Grid:
+    """The table of one class, with the worst drive of each method in its title."""
+    drives, columns, worst = list[str](), list[tables.Column](), list[str]()
+    for name, of_method in scores.items():
+        by_drive = of_method["by_drive"]
+        tracks = [] if columns else [("tracks", "n_tracks", "{:.0f}")]
+        specs = [(f"{name} {heading}", *rest) for heading, *rest in _DRIVE_COLUMNS]
+        drives = list(by_drive)
+        columns += tables.columns_of(by_drive.values(), [*tracks, *specs])
+        if (one := of_method["worst_drive"]) is not None:
+            worst.append(f"{name} {one} ({by_drive[one]['bias_pct']:+.1f} %)")
+    title = f"{kind} by drive, worst: {', '.join(worst) or tables.NOTHING}"
+    return tables.grid_of(title, "drive", drives, columns)
 
 
 _DRIVE_COLUMNS: tuple[tables.ColumnSpec, ...] = (
