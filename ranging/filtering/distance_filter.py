@@ -105,9 +105,12 @@ class DistanceFilters:
         self._sizes = BelievedSizes(n_methods)
         self._models = InteractingModels(n_methods)
         if not self._settings.learns_noise:
-            noises = (self._settings.acceleration_noise,)
+            noises = np.full(len(ROAD_CLASSES), self._settings.acceleration_noise)
             self._models = InteractingModels(
-                n_methods, noises=noises, accelerations_mps2=0.0, has_static=False
+                n_methods,
+                noises=noises,
+                accelerations_mps2=np.zeros((1, len(ROAD_CLASSES))),
+                has_static=False,
             )
         self._stretch = math.nan  # of the given speed of the last frame
         self._new = FilterBank.new(self._models, self._settings, n_methods)

@@ -262,7 +262,7 @@ class FilterBank(NamedTuple):
         """Motion and side after the time step, and the variance by free edges; along a cut box,
         it is the far end that moves.
         """
-        cut, q = step.observation.cut, self.models.q
+        cut, q = step.observation.cut, self.models.q[:, step.class_id]
         if self.side is None or cut is None:
             return self.motion.predict(step.dt, q=q), self.side, 0.0
         return self.side.predict(

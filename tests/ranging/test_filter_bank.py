@@ -28,7 +28,9 @@ def of(value):
 def new_bank(settings=SETTINGS):
     """A new track in the filters of one method, with a static and a moving model with q = 0.5^2."""
     models = InteractingModels(
-        noises=(0.5,), accelerations_mps2=0.0, has_static=settings.learns_noise
+        noises=np.full(8, 0.5),
+        accelerations_mps2=np.zeros((1, 8)),
+        has_static=settings.learns_noise,
     )
     return FilterBank.new(models, settings, 1)
 

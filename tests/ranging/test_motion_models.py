@@ -214,5 +214,5 @@ def test_accelerations_by_class():
     unknown = models.acceleration_sigma(classes, is_ego_known=False)
     assert unknown[0].tolist() == [0.0, 0.0]
     assert unknown[1:] == pytest.approx(np.hypot(known[1:], 0.5))
-    only = InteractingModels(noises=(0.5,), accelerations_mps2=0.0)
+    only = InteractingModels(noises=np.full(8, 0.5), accelerations_mps2=np.zeros((1, 8)))
     assert not only.acceleration_sigma(classes, is_ego_known=False).any()
