@@ -86,16 +86,6 @@ def threshold(on_probability: FloatArray | float, needed_mps2: FloatArray) -> Fl
     return np.asarray(logit(on_probability) + 2.0 * np.log(reserve))
 
 
-def threshold_probability(on_probability: float, needed_mps2: float) -> float:
-    """The threshold as a probability, for plots beside the reported one; NaN = unknown.
-
-    Example:
-        >>> round(threshold_probability(0.5, 2.5), 2), threshold_probability(0.5, 8.0)
-        (0.8, 0.5)
-    """
-    return float(expit(threshold(on_probability, np.array(needed_mps2))))
-
-
 def is_due(
     log_odds: FloatArray, on_probability: FloatArray, needed_mps2: FloatArray, least_mps2: float
 ) -> BoolArray:

@@ -167,13 +167,14 @@ class ImageTimes:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Messages for the user about the repeated images so far."""
+        """Messages for the user about cuts and repeated images so far."""
         notes = []
         if self._cut_s:
             cuts = _listed([f"{cut_s:.1f} s" for cut_s in self._cut_s])
             notes.append(
                 f"The images show another scene from {cuts} on: tracks, odometry and filters start "
-                "again there, with the same camera; give scenes of another camera on their own."
+                "again there, except with a tracker object of your own; give scenes of another "
+                "camera on their own."
             )
         frozen_s = list(self._frozen_s)
         if self._images and self._last_s - self._images[-1].frame_s >= _FROZEN_S and self._n_row:

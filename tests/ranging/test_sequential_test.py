@@ -13,7 +13,6 @@ from track_range.ranging.warning.sequential_test import (
     posterior,
     soundness,
     threshold,
-    threshold_probability,
 )
 
 STEP_S = 0.1
@@ -81,8 +80,3 @@ def test_no_alarm_below_normal_braking() -> None:
     needed = np.array([0.0, 2.4, 2.6, 6.0])
     due = is_due(np.full(4, 9.0), np.full(4, 0.5), needed, 2.5)
     assert due.tolist() == [False, False, True, True]
-
-
-def test_threshold_for_plots() -> None:
-    assert math.isnan(threshold_probability(0.5, math.nan))
-    assert threshold_probability(0.5, HARD_MPS2 / 2) == pytest.approx(0.8)

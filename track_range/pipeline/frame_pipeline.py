@@ -53,17 +53,18 @@ class FramePipeline:
     world: WorldStage  # positions and motion over ground
     alarming: AlarmStage  # warnings and measures of safety
     times: ImageTimes = field(default_factory=ImageTimes)  # which frames show a new moment
-    # makes tracker and ego stage of another scene; None = scenes are not told apart
-    restarted: Callable[[], tuple[ObjectTracker, EgoStage]] | None = None
+    # makes the stages of another scene, which continue nothing; None = all stages go on
+    restarted: Callable[[], tuple[ObjectTracker, EgoStage, AlarmStage]] | None = None
     setup_notes: tuple[str, ...] = ()  # messages for the user about the chosen parts
     clock: StageClock = field(default_factory=StageClock)  # time spent in each stage
     # from the frames so far; used with the next one
     scale: DriveScale = field(init=False)
     doubt: Doubt = field(init=False)
     tracks: Tracks = field(default_factory=Tracks.empty, init=False)
-    # numbers of the tracks of earlier scenes, and messages about these
-    _n_before: int = field(default=0, init=False)
-    _n_tracks: int = field(default=0, init=False)
+    # added to the tracker's numbers, which count from 0 or 1, in this scene and in the next one
+    _first_id: int = field(default=0, init=False)
+    _next_id: int = field(default=0, init=False)
+    # messages about earlier scenes
     _notes_before: tuple[str, ...] = field(default=(), init=False)
 
     def __post_init__(self) -> None:
@@ -89,7 +90,8 @@ class FramePipeline:
         time_s, stage = image.time_s, self.clock.stage
         if image.starts_scene and self.restarted is not None:
             self._notes_before = (*self._notes_before, *self.ego.notes)
-            self._n_before, (self.tracker, self.ego) = self._n_tracks, self.restarted()
+            self._first_id = self._next_id
+            self.tracker, self.ego, self.alarming = self.restarted()
         if image.is_repeated:
             seen = self._predicted(frame, known_ego)
         else:
@@ -158,8 +160,8 @@ class FramePipeline:
 
     def _numbered(self, tracks: Tracks) -> Tracks:
         """Tracks with other numbers than those of earlier scenes."""
-        track_id = tracks.track_id + self._n_before
-        self._n_tracks = max(self._n_tracks, int(track_id.max(initial=0)))
+        track_id = tracks.track_id + self._first_id
+        self._next_id = max(self._next_id, int(track_id.max(initial=-1)) + 1)
         return replace(tracks, track_id=track_id)
 
     def _predicted(self, frame: Frame, known_ego: EgoMotion | None) -> _Seen:

@@ -86,19 +86,23 @@ def open_pipeline(
     appearance_notes = () if tracker_options.reid is None else tracker_options.reid.notes
     lane_finder = open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None
     priors = _camera_priors(context, calibration)
+    camera = calibration.camera
 
-    def of_scene() -> tuple[ObjectTracker, EgoStage]:
+    def of_scene() -> tuple[ObjectTracker, EgoStage, AlarmStage]:
         flow = BackgroundFlow()
         ego = _ego_stage(
             context, flow, ego_speed, priors, measures_speed=measures_speed, mounting=mounting
         )
         options = replace(tracker_options, flow=flow)
-        return tracker or create_tracker(settings.tracker, options), ego
+        warning = CollisionWarning(settings.warning_settings) if is_ahead else None
+        return (
+            tracker or create_tracker(settings.tracker, options),
+            ego,
+            AlarmStage(camera, warning),
+        )
 
-    first_tracker, ego = of_scene()
+    first_tracker, ego, alarming = of_scene()
     check = _scale_check(context, priors, calibration, settings.lane_width_m)
-    warning = CollisionWarning(settings.warning_settings) if is_ahead else None
-    camera = calibration.camera
     mounted_m, used_m = _mounted_m(mounting, calibration), context.camera_height_m
     return FramePipeline(
         detection=DetectionStage(
@@ -121,7 +125,7 @@ def open_pipeline(
             centre_sigma_px=calibration.centre_sigma_px,
             mounting=mounting,
         ),
-        alarming=AlarmStage(camera, warning),
+        alarming=alarming,
         setup_notes=(
             *appearance_notes,
             *((_OTHER_HEIGHT.format(mounted_m),) if mounted_m not in (None, used_m) else ()),

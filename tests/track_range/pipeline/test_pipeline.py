@@ -13,6 +13,7 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.detector import DetectorError
 from track_range.detection.lanes.lines import LaneLine, LaneLines
+from track_range.pipeline.alarming import AlarmStage
 from track_range.pipeline.detecting import DetectionStage
 from track_range.pipeline.ego import EgoStage
 from track_range.pipeline.ranging import RangingStage
@@ -37,12 +38,15 @@ IMAGE = np.zeros((80, 100, 3), np.uint8)
 
 
 class OneTrack:
-    """A tracker that makes every detection a track."""
+    """A tracker that makes every detection a track, with numbers from 1 or another one on."""
+
+    def __init__(self, first=1):
+        self.first = first
 
     def update(self, detections, time_s, image):
         n = len(detections)
         return Tracks(
-            np.arange(1, n + 1),
+            np.arange(self.first, self.first + n),
             detections.xyxy_px,
             detections.class_id,
             detections.score,
@@ -105,12 +109,14 @@ def scenes(n, cut):
 
 
 def test_another_scene_has_another_tracker_and_other_numbers():
-    loop = pipeline(restarted=lambda: (OneTrack(), EgoStage()))
+    loop = pipeline(restarted=lambda: (OneTrack(), EgoStage(), AlarmStage(CAMERA, None)))
     before = loop.ego
     results = list(run_in_threads(loop, scenes(10, cut=5)))
     # a cut is known with the second image of the other scene
-    assert [r.tracks.track_id.tolist() for r in results] == [[1]] * 6 + [[2]] * 4
+    assert [r.tracks.track_id.tolist() for r in results] == [[1]] * 6 + [[3]] * 4
     assert loop.ego is not before
+    # the alarms, too: the change of the ego speed from scene to scene is no acceleration
+    assert [r.alarms.has_warnings for r in results] == [True] * 6 + [False] * 4
     assert np.isnan(results[6].closing_mps).all()
     (note,) = loop.notes()
     assert "another scene from 0.5 s on" in note
@@ -118,6 +124,13 @@ def test_another_scene_has_another_tracker_and_other_numbers():
     assert [r.tracks.track_id.tolist() for r in run_in_threads(kept, scenes(10, cut=5))] == [
         [1]
     ] * 10
+
+
+def test_numbers_of_a_tracker_from_0_on_are_other_ones_in_another_scene():
+    loop = pipeline(restarted=lambda: (OneTrack(0), EgoStage(), AlarmStage(CAMERA, None)))
+    loop.tracker = OneTrack(0)
+    results = list(run_in_threads(loop, scenes(10, cut=5)))
+    assert [r.tracks.track_id.tolist() for r in results] == [[0]] * 6 + [[1]] * 4
 
 
 def test_clock_counts_the_stages_that_ran():

@@ -24,9 +24,8 @@ from track_range.ranging.truth.errors import fraction, within_sigmas
 
 BANDS: Mapping[str, tuple[float, float]] = {"10-40": (10.0, 40.0), "40-80": (40.0, 80.0)}  # m
 MAX_SIGMA_MPS = 1.5  # largest sigma of an answer
-_TTC_LIMIT_S = (
-    20.0  # largest true time that is compared, and limit to which measured ones are clipped
-)
+# largest true time to collision that is compared, and the one to which measured ones are clipped
+_TTC_LIMIT_S = 20.0
 _STEP_S = 0.1  # interval of the size ratio s
 
 _SCALE_ERROR, _CLOSING_ERROR_MPS, _PATH_HALF_WIDTH_M = 0.1, 1.5, 2.0
