@@ -85,7 +85,7 @@ MOST_STATEMENTS = {
     # figures of each drive of labelled boxes (13)
     # accelerations that last as a state of the filters, of which far sigmas and braking leads had
     # need (69), and which the warning does not correct again (4)
-    # ego speeds through gaps, and the extents of vehicles by their motion, which end six of seven
+    # ego speeds through gaps, and the extents of vehicles by their motion, which end three of seven
     # false alarms on KITTI (18)
     # settings of the warning check themselves (3)
     "ranging": 7_285,  # turns as evidence of a given focal length (65), the height by the posterior (17)
