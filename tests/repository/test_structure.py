@@ -108,7 +108,7 @@ MOST_STATEMENTS = {
     # what happens in a recording, of several drives (17)
     # a table by drive of labelled distances (25)
     # tables by cell, and by drive where there are several (12)
-    "cli": 2_467,
+    "cli": 2_471,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (143), several drives together, and intervals of rates (49)

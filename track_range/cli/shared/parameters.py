@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import typer
+from annotated_types import Ge, Le
 from pydantic.fields import FieldInfo
 
 from track_range.cli.shared.bare_recordings import refuse_bare, refuse_expanded
@@ -181,7 +182,7 @@ def _parameter(name: str, kind: Any, declaration: Any, default: Any) -> Paramete
 
 
 def _declaration(model: type[Options], name: str, *, is_checked: bool) -> Any:
-    """typer.Option or typer.Argument of a field, whose choices are completed unless `is_checked`."""
+    """typer.Option or typer.Argument of a field, with its bounds or choices if `is_checked`."""
     field = model.model_fields[name]
     shown, kind = option_of(field), value_type(field)
     placeholder = "|".join(choices_of(field)) or _PLACEHOLDERS.get(kind, "TEXT")
@@ -195,6 +196,9 @@ def _declaration(model: type[Options], name: str, *, is_checked: bool) -> Any:
         common["autocompletion"] = lambda incomplete: [
             word for word in choices if word.startswith(incomplete)
         ]
+    if kind in (int, float) and is_checked:
+        common["min"] = next((mark.ge for mark in field.metadata if isinstance(mark, Ge)), None)
+        common["max"] = next((mark.le for mark in field.metadata if isinstance(mark, Le)), None)
     if shown.is_argument:
         return typer.Argument(**common)
     return typer.Option(shown.flag or model.flag(name), **common)
