@@ -6,7 +6,8 @@ later part of the same one.
 An image starts another scene if it does not correlate with the one before it, although that one
 correlates with its own predecessor, and the next one with it. A camera that turns fast changes for
 several images; a flash, a black or a broken image is followed by the old scene. So a cut is known
-one image late. Images after a gap, and those that a near road user fills, show no cut.
+one image late. Images after a gap or of another size, and those that a near road user fills, show
+no cut.
 """
 
 import math
@@ -39,11 +40,15 @@ class SceneCuts:
         """Whether the image before this one (H, W) was the first one of another scene; a road user
         hides the part `hidden` of it.
         """
-        if time_s - self._last_s > _MAX_GAP_S or hidden > _MAX_HIDDEN:
-            self._latest.clear()
-        self._last_s = time_s
         height, width = small.shape
         size = _N_COLUMNS, max(round(_N_COLUMNS * height / width), _MIN_ROWS)
+        if (
+            time_s - self._last_s > _MAX_GAP_S
+            or hidden > _MAX_HIDDEN
+            or any(one.shape != size[::-1] for one in self._latest)
+        ):
+            self._latest.clear()
+        self._last_s = time_s
         grey = cv2.resize(small, size, interpolation=cv2.INTER_AREA).astype(np.float32)
         self._latest.append(np.asarray(grey - cv2.GaussianBlur(grey, (0, 0), _LOW_PASS)))
         if len(self._latest) < 4:

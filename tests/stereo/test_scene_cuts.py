@@ -84,6 +84,11 @@ def test_images_after_a_gap_show_no_scene() -> None:
     assert not any(map(found.update, images, times_s))
 
 
+def test_images_of_another_size_show_no_scene() -> None:
+    images = drive(0)[:CUT] + [image[:60] for image in drive(1)[CUT:]]
+    assert cuts(images) == []
+
+
 def test_a_view_that_a_truck_fills_is_no_scene() -> None:
     """Growing by 2 from image to image, until only its rear is left."""
     view, rear = scene(0, 0.0), scene(3, 0.0)

@@ -255,7 +255,8 @@ def _export_rows(
         notes = (
             *notes,
             "The scenario is empty: the run has no positions of the camera (poses.csv), since its "
-            "speed is unknown; run it again with --ego-speed.",
+            "speed is unknown or --write leaves them out; run it again with --ego-speed, or with "
+            "--write poses among the others.",
         )
     info = RunInfo(
         camera=camera,
