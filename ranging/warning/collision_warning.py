@@ -133,8 +133,8 @@ _ACCELERATION_MPS2, _PERSON_ACCELERATION_MPS2, _VEHICLE_ACCELERATION_MPS2 = 0.4,
 # objects, oncoming vehicles and people
 _LATERAL_MPS, _STATIC_LATERAL_MPS, _ONCOMING_LATERAL_MPS = 1.0, 0.15, 0.3
 _PERSON_LATERAL_MPS = 1.5
-# the same along the road: the largest likelihood of the people of KITTI (without any one of the ten
-# sequences 0.9 to 1.1; the even ones, with 9 % of the boxes, have two groups of 0.1 and 0.6)
+# the same along the road, of the people of KITTI: the largest likelihood of two fits is at 0.9 and
+# 1.05 (without any one of the ten sequences 0.7 to 1.1, of the even ones, with 9 % of the boxes, 0.2)
 _PERSON_ALONG_MPS = 1.05
 # random walk of the lateral jerk of the ego path, m/s^3 per square root of a second, and the same
 # per m/s^2 of recent lateral acceleration, since a driver who steers goes on steering: with

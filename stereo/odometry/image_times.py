@@ -173,7 +173,7 @@ class ImageTimes:
             cuts = _listed([f"{cut_s:.1f} s" for cut_s in self._cut_s])
             notes.append(
                 f"The images show another scene from {cuts} on: tracks, odometry and filters start "
-                "again there, except with a tracker object of your own; give scenes of another "
+                "again there, but a tracker object of your own goes on; give scenes of another "
                 "camera on their own."
             )
         frozen_s = list(self._frozen_s)

@@ -121,8 +121,8 @@ MOST_STATEMENTS = {
     # one registry with priorities and notes (5); functions of packages guarded in one place (50);
     # the flow of long tracks, below the two estimators that follow corners (35)
     # the interval of a rate (6); probabilities of options are at most 1 (4)
-    # settings check themselves, and a column that is missing is named (4)
-    "foundation": 1_613,
+    # settings check themselves, and a column that is missing is named (5)
+    "foundation": 1_614,
     # each stage has a frozen output, and `FrameResult` consists of them (165); the detection and the
     # scale report (9)
     # the way of a repeated image (45); the scale of a pair, corrected in one place (7); the
@@ -140,7 +140,7 @@ MOST_STATEMENTS = {
     # a speed that is not measured for a moment is predicted (7)
     # heights of whole boxes (3)
     # another scene has other stages and other numbers (18), and predicted speeds (1)
-    "pipeline": 957,
+    "pipeline": 960,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120),

@@ -89,9 +89,7 @@ class FramePipeline:
         image = self.times.update(frame.left, frame.time_s, hidden)
         time_s, stage = image.time_s, self.clock.stage
         if image.starts_scene and self.restarted is not None:
-            self._notes_before = (*self._notes_before, *self.ego.notes)
-            self._first_id = self._next_id
-            self.tracker, self.ego, self.alarming = self.restarted()
+            self._start_scene(*self.restarted())
         if image.is_repeated:
             seen = self._predicted(frame, known_ego)
         else:
@@ -157,6 +155,13 @@ class FramePipeline:
             frame = ego.right_camera.corrected(frame)
         measured = self.ranging.measure(tracks, frame, lanes, ego, self.scale, self.clock)
         return _Seen(tracks, others, ego, measured)
+
+    def _start_scene(self, tracker: ObjectTracker, ego: EgoStage, alarming: AlarmStage) -> None:
+        """Go on with the stages of another scene; the numbers of a tracker that goes on do, too."""
+        self._notes_before = (*self._notes_before, *self.ego.notes)
+        if tracker is not self.tracker:
+            self._first_id = self._next_id
+        self.tracker, self.ego, self.alarming = tracker, ego, alarming
 
     def _numbered(self, tracks: Tracks) -> Tracks:
         """Tracks with other numbers than those of earlier scenes."""

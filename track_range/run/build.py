@@ -114,7 +114,7 @@ def open_pipeline(
         ),
         tracker=first_tracker,
         ego=ego,
-        restarted=None if tracker is not None else of_scene,
+        restarted=of_scene,
         ranging=RangingStage(create_rangers(context)),
         doubting=DoubtStage(priors, check, _focal_before(calibration)),
         filtering=FilterStage(

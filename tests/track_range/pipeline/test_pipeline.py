@@ -133,6 +133,15 @@ def test_numbers_of_a_tracker_from_0_on_are_other_ones_in_another_scene():
     assert [r.tracks.track_id.tolist() for r in results] == [[0]] * 6 + [[1]] * 4
 
 
+def test_a_tracker_that_goes_on_keeps_its_numbers_in_another_scene():
+    tracker = OneTrack()
+    loop = pipeline(restarted=lambda: (tracker, EgoStage(), AlarmStage(CAMERA, None)))
+    loop.tracker, before = tracker, loop.ego
+    results = list(run_in_threads(loop, scenes(10, cut=5)))
+    assert [r.tracks.track_id.tolist() for r in results] == [[1]] * 10
+    assert loop.ego is not before
+
+
 def test_clock_counts_the_stages_that_ran():
     loop = pipeline()
     list(run_in_threads(loop, frames(30)))

@@ -5,6 +5,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import fields
+from numbers import Real
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError
@@ -66,7 +67,7 @@ def check_numbers(settings: Any) -> None:
         name, value = field.name, getattr(settings, field.name)
         is_probability = name.endswith("_probability")
         most = 1.0 if is_probability else sys.float_info.max
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        is_number = isinstance(value, Real) and not isinstance(value, bool)
         if not (is_number and 0 <= value <= most):
             expected = "a probability from 0 to 1" if is_probability else "a number of at least 0"
             raise ValueError(f"{name}: expected {expected}, found {quoted(value)}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -109,5 +110,6 @@ def test_settings_check_their_numbers() -> None:
 
 
 def test_chosen_numbers() -> None:
+    assert WarningSettings(on_probability=np.float32(0.5)).on_probability == 0.5
     chosen = chosen_numbers(WarningSettings, {"on_probability": 1, "horizon_s": 60})
     assert (chosen.on_probability, chosen.horizon_s) == (1, 60)
