@@ -105,6 +105,15 @@ def test_a_view_that_a_truck_fills_is_no_scene() -> None:
     assert cuts(images, hidden=0.3) == []
 
 
+def test_a_cut_to_a_view_with_a_near_road_user_is_known() -> None:
+    """As from the camera ahead to the one behind, where a car stands."""
+    found = SceneCuts()
+    images = drive(0)[:CUT] + drive(1)[CUT:]
+    hidden = [0.1] * CUT + [0.4] * CUT
+    known = [found.update(image, k / 30, hidden[k]) for k, image in enumerate(images)]
+    assert np.flatnonzero(known).tolist() == [CUT + 1]
+
+
 def test_note_says_when_another_scene_begins() -> None:
     times = ImageTimes()
     images = drive(0)[:CUT] + drive(1)[CUT:]
