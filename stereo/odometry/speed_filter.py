@@ -130,7 +130,7 @@ class SpeedFilter:
         since_s = middle_s - self._measured_s
         is_followed = self._n_outliers == 0 and since_s <= MAX_PREDICTED_S
         n_sigma = _OUTLIER_SIGMA if is_followed else _OTHER_SIGMA
-        # a driver may have begun to brake at the last measurement
+        # a driver may have started to brake at the last measurement
         braked_mps = _BRAKING_MPS2 * min(since_s, _ONSET_S)
         other_mps = math.sqrt(abs(systematic_mps**2 - self._systematic_mps**2))
         limit_mps = n_sigma * math.hypot(state.sigma_mps, sigma_mps, other_mps) + braked_mps
