@@ -61,6 +61,7 @@ from track_range.ranging.warning.sequential_test import calibrated, is_due, post
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.warning.warnings import Warnings
 from track_range.ranging.world.ego_path import UNKNOWN_LATERAL_MPS2, YAW_NOISE_RAD_S
+from track_range.stereo.odometry.ego_motion import MAX_EGO_SIGMA_MPS
 from track_range.tracking.tracks import Tracks
 
 _MAX_GAP_S = 1.0  # longest time without a value in s; after it the filters restart
@@ -68,9 +69,6 @@ _MAX_GAP_S = 1.0  # longest time without a value in s; after it the filters rest
 _JERK_NOISE = 2.0
 _INITIAL_ACCELERATION_MPS2 = 1.0  # standard deviation of the acceleration at the start
 _EGO_SPEED_SIGMA_MPS = 0.1  # standard deviation of a value of the ego speed, m/s
-# largest standard deviation of an ego speed that is predicted while it is not measured, m/s: that
-# of the filters
-_MAX_SPEED_SIGMA_MPS = 1.5
 _INITIAL_YAW_RAD_S2 = 0.03  # standard deviation of the change of the yaw rate at the start, rad/s^2
 _BENDS_S = 0.65  # time constant of the mean square of the lateral acceleration, s
 # root mean square of the lateral acceleration at the start of a drive, m/s^2
@@ -163,7 +161,7 @@ class _EgoTrend:
         # Speed.
         if self._speed is not None:
             self._speed = self._speed.scaled(scale / self._scale).predict(dt, q=_JERK_NOISE**2)
-            if self._speed.P_xx > _MAX_SPEED_SIGMA_MPS**2:
+            if self._speed.P_xx > MAX_EGO_SIGMA_MPS**2:
                 self._speed = None
         self._scale = scale
         if math.isfinite(speed_mps):
@@ -172,13 +170,16 @@ class _EgoTrend:
                 self._speed = _state(speed_mps, R, _INITIAL_ACCELERATION_MPS2**2)
             self._speed = self._speed.update(speed_mps - self._speed.x, R)
         before_mps, self.has_speed = self.speed_mps, self._speed is not None
-        known = _state(0.0, 0.0, 0.0) if self._speed is None else self._speed
-        self.acceleration_mps2 = float(known.v)
-        self.speed_mps = speed_mps if math.isfinite(speed_mps) else float(known.x)
-        if self.has_speed:
+        if self._speed is None:
+            self.speed_mps = self.acceleration_mps2 = 0.0
+        else:
+            self.speed_mps = speed_mps if math.isfinite(speed_mps) else float(self._speed.x)
+            self.acceleration_mps2 = float(self._speed.v)
             self.path_mps = max(self.speed_mps, _MIN_SPEED_MPS)
         V = self.path_mps
-        self.change_mps = (self.has_speed != was_known) * (self.speed_mps - before_mps)
+        self.change_mps = 0.0
+        if self.has_speed != was_known:
+            self.change_mps = self.speed_mps - before_mps
 
         # Yaw rate.
         was_known, self.has_yaw = self.has_yaw, math.isfinite(yaw_rad_s)
@@ -309,10 +310,7 @@ class CollisionWarning:
         own, starts = self._own_motion(state, last, time_s, is_known)
 
         # Position relative to the ego path.
-        moves = self._moving(motion)
-        moving = replace(own, v=moves * own.v, P_vv=moves * own.P_vv)
-        gap = without_lag(state, moving.v - motion.own_mps2, moving.P_vv)
-        gap, offset = self._position(is_person, motion, gap, lateral.state)
+        moving, gap, offset = self._position(is_person, motion, own, state, lateral.state)
         half_m, spread_m = _half_widths(tracks.class_id, lateral.half_width_m, own.x, offset.v)
         half_width_m = half_m + settings.ego_width_m / 2
         is_beside = np.abs(offset.x) > half_width_m + _BESIDE_SIGMA * np.sqrt(offset.P_xx)
@@ -359,16 +357,20 @@ class CollisionWarning:
         self,
         is_person: BoolArray,
         motion: FilteredRanges,
-        gap: ConstantVelocity,
+        own: ConstantVelocity,
+        state: ConstantVelocity,
         x: ConstantVelocity,
-    ) -> tuple[ConstantVelocity, ConstantVelocity]:
-        """The distances, and the lateral offsets from the ego path of objects at x from the camera,
-        with the error of their scale.
+    ) -> tuple[ConstantVelocity, ConstantVelocity, ConstantVelocity]:
+        """The own motion of the objects, if they move; their distances, whose `state` lags behind it;
+        and their lateral offsets from the ego path, at x from the camera: with the error of their
+        scale.
         """
-        scale_variance = _scale_variance(motion)
-        moves = self._moving(motion)
+        moves, scale_variance = self._moving(motion), _scale_variance(motion)
+        moving = replace(own, v=moves * own.v, P_vv=moves * own.P_vv)
+        gap = without_lag(state, moving.v - motion.own_mps2, moving.P_vv)
         gap = _with_scale(gap, scale_variance, moving=moves)
-        return gap, self._offset(is_person, gap, _with_scale(x, scale_variance), moves)
+        offset = self._offset(is_person, gap, _with_scale(x, scale_variance), moves)
+        return moving, gap, offset
 
     def _with_prior_speed(self, state: ConstantVelocity, is_person: BoolArray) -> ConstantVelocity:
         """The distances and rates, with the prior speed of people along the road."""
@@ -381,10 +383,10 @@ class CollisionWarning:
         )
         return ConstantVelocity(*np.where(is_person, people.columns, state.columns))
 
-    def _moving(self, motion: FilteredRanges) -> FloatArray | float:
+    def _moving(self, motion: FilteredRanges) -> FloatArray:
         """(N,) probability that the objects move; 1 = unknown."""
         if motion.static is None or not self._ego.has_speed:
-            return 1.0
+            return np.ones_like(motion.state.x)
         return 1.0 - motion.static
 
     def _own_motion(
@@ -512,7 +514,7 @@ class CollisionWarning:
         is_person: BoolArray,
         gap: ConstantVelocity,
         x: ConstantVelocity,
-        moves: FloatArray | float,
+        moves: FloatArray,
     ) -> ConstantVelocity:
         """Lateral offset of the objects, at x from the camera, from the ego path and its rate, with
         the errors of the path; `moves` is the probability that they move.
@@ -535,7 +537,7 @@ class CollisionWarning:
         )
         # Prior of the rate: of static, oncoming and other vehicles; people may all cross.
         oncoming = moves * ndtr(-u / np.sqrt(gap.P_vv)) if ego.has_speed else np.zeros_like(u)
-        weights = np.array([1.0 - moves + 0 * u, oncoming, moves - oncoming])
+        weights = np.array([1.0 - moves, oncoming, moves - oncoming])
         sigmas_mps = np.array([[_STATIC_LATERAL_MPS], [_ONCOMING_LATERAL_MPS], [_LATERAL_MPS]])
         sigmas_mps = np.where(is_person, _PERSON_LATERAL_MPS, sigmas_mps)
         free_mps = np.where(is_person, _FREE_PERSON_MPS, _FREE_LATERAL_MPS)

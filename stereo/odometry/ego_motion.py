@@ -47,6 +47,9 @@ class EgoMotion:
 
 # random walk of a speed that is not measured, m/s per root of a second: 2.5 m/s after one second
 PREDICTED_NOISE = 2.5
+# largest standard deviation of an ego speed that filters and warnings use, that of the largest error
+# of a rate that they report: a less certain one would make rates of what may be static unknown
+MAX_EGO_SIGMA_MPS = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
+from track_range.detection.boxes import area_px2
 from track_range.detection.detections import Detections
 from track_range.detection.fixed_parts import FixedParts
 from track_range.detection.lanes.lines import LaneFinder, LaneLines
@@ -31,6 +32,13 @@ class Detected(NamedTuple):
     lanes: LaneLines | None
     detections: Detections
     candidates: Detections | None = None
+
+    @property
+    def hidden(self) -> float:
+        """The part of the image inside the largest box."""
+        largest_px2 = area_px2(self.detections.xyxy_px).max(initial=0.0)
+        height, width = self.frame.left.shape[:2]
+        return float(largest_px2 / (height * width))
 
 
 @dataclass(slots=True, kw_only=True)

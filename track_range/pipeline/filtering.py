@@ -21,12 +21,9 @@ from track_range.ranging.registry import methods
 from track_range.ranging.size_models.size_model import BORDER_PX, have_hidden_sides
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.mounting import Mounting, looks_ahead
-from track_range.stereo.odometry.ego_motion import EgoMotion
+from track_range.stereo.odometry.ego_motion import MAX_EGO_SIGMA_MPS, EgoMotion
 from track_range.tracking.tracks import Tracks
 
-# largest standard deviation of an ego speed that filters use, that of the largest error of a rate
-# that they report: a less certain one would make rates of what may be static unknown
-_MAX_EGO_SIGMA_MPS = 1.5
 # lateral speed, and standard deviations of it, above which an object moves
 _ACROSS_MPS, _ACROSS_SIGMA = 1.0, 3.0
 # error of the lateral speed relative to w z in turns, and to that of the camera, from the error of
@@ -130,7 +127,7 @@ class FilterStage:
 
         The boxes of the `unconfirmed` tracks count once these are confirmed; None = there are none.
         """
-        if ego.speed_sigma_mps > _MAX_EGO_SIGMA_MPS:
+        if ego.speed_sigma_mps > MAX_EGO_SIGMA_MPS:
             ego = replace(ego, speed_mps=math.nan)
         filtered = self._distances.update(
             {**measured.ranges, "fused": fused.ranges},

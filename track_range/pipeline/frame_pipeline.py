@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from track_range.detection.boxes import area_px2
 from track_range.detection.lanes.lines import LaneLines
 from track_range.pipeline.alarming import AlarmStage
 from track_range.pipeline.clock import StageClock
@@ -84,9 +83,7 @@ class FramePipeline:
         measures it.
         """
         frame, lanes = detected.frame, detected.lanes
-        largest_px2 = area_px2(detected.detections.xyxy_px).max(initial=0.0)
-        hidden = float(largest_px2 / (frame.left.shape[0] * frame.left.shape[1]))
-        image = self.times.update(frame.left, frame.time_s, hidden)
+        image = self.times.update(frame.left, frame.time_s, detected.hidden)
         time_s, stage = image.time_s, self.clock.stage
         if image.starts_scene and self.restarted is not None:
             self._start_scene(*self.restarted())

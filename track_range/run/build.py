@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 from track_range.detection.lanes.nets import open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
@@ -32,12 +34,13 @@ from track_range.recording.recording import Recording, open_recording
 from track_range.run.box_source import BoxSource
 from track_range.run.options.opened import open_tracker_options
 from track_range.run.options.settings import PipelineOptions, RunSettings
+from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.mounting import Mounting, looks_ahead
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
 from track_range.stereo.odometry.stereo_odometry import StereoOdometry
 from track_range.stereo.speed.ego_speed import EgoSpeed
-from track_range.tracking.registry import ObjectTracker, create_tracker
+from track_range.tracking.registry import ObjectTracker, TrackerOptions, create_tracker
 
 _NOT_AHEAD = (
     "The view does not look along the drive (--mount, --yaw-deg): it has no lane lines, no times to "
@@ -87,20 +90,12 @@ def open_pipeline(
     lane_finder = open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None
     priors = _camera_priors(context, calibration)
     camera = calibration.camera
-
-    def of_scene() -> tuple[ObjectTracker, EgoStage, AlarmStage]:
-        flow = BackgroundFlow()
-        ego = _ego_stage(
-            context, flow, ego_speed, priors, measures_speed=measures_speed, mounting=mounting
-        )
-        options = replace(tracker_options, flow=flow)
-        warning = CollisionWarning(settings.warning_settings) if is_ahead else None
-        return (
-            tracker or create_tracker(settings.tracker, options),
-            ego,
-            AlarmStage(camera, warning),
-        )
-
+    ego_of = partial(
+        _ego_stage, context, ego_speed, priors, measures_speed=measures_speed, mounting=mounting
+    )
+    of_scene = partial(
+        _stages_of_scene, settings, camera, tracker or tracker_options, ego_of, is_ahead=is_ahead
+    )
     first_tracker, ego, alarming = of_scene()
     check = _scale_check(context, priors, calibration, settings.lane_width_m)
     mounted_m, used_m = _mounted_m(mounting, calibration), context.camera_height_m
@@ -132,6 +127,22 @@ def open_pipeline(
             *(() if is_ahead else (_NOT_AHEAD,)),
         ),
     )
+
+
+def _stages_of_scene(
+    settings: PipelineOptions,
+    camera: PinholeCamera,
+    tracker: ObjectTracker | TrackerOptions,
+    ego_of: Callable[[BackgroundFlow], EgoStage],
+    *,
+    is_ahead: bool,
+) -> tuple[ObjectTracker, EgoStage, AlarmStage]:
+    """The stages that start again with another scene; a `tracker` that is given goes on."""
+    flow = BackgroundFlow()
+    if isinstance(tracker, TrackerOptions):
+        tracker = create_tracker(settings.tracker, replace(tracker, flow=flow))
+    warning = CollisionWarning(settings.warning_settings) if is_ahead else None
+    return tracker, ego_of(flow), AlarmStage(camera, warning)
 
 
 def _method_context(
@@ -170,9 +181,9 @@ def _road_height_m(context: MethodContext) -> float:
 
 def _ego_stage(
     context: MethodContext,
-    flow: BackgroundFlow,
     ego_speed: EgoSpeed | None,
     priors: CameraPriors,
+    flow: BackgroundFlow,
     *,
     measures_speed: bool,
     mounting: Mounting | None,

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -449,6 +450,31 @@ def test_rows_and_events_are_kept_for_a_time() -> None:
         table = pipeline.to_arrow()
     assert table["time_s"].to_pylist() == pytest.approx(np.arange(79, 100) / 10)
     assert pipeline.events() == ()
+
+
+@pytest.mark.parametrize("has_own_tracker", [False, True])
+def test_another_scene_starts_again_but_for_a_tracker_object(has_own_tracker: bool) -> None:
+    rng = np.random.default_rng(0)
+    textures = rng.integers(0, 255, (2, 12, 40, 3), np.uint8)
+    scenes = [cv2.resize(one, (620, 188), interpolation=cv2.INTER_CUBIC) for one in textures]
+    options: dict[str, Any] = {"detector": OneCar(), "lanes": "off"}
+    if has_own_tracker:
+        options["tracker"] = Nothing()
+    with tr.Pipeline.mono(focal_px=360, **options) as pipeline:
+        ids = []
+        for index in range(16):
+            noise = rng.integers(0, 12, (188, 620, 3), np.uint8)
+            result = pipeline.step(cv2.add(scenes[index // 8], noise), index / 10)
+            ids.append(result.tracks.track_id.tolist())
+        notes = [note for note in pipeline.notes if "another scene from 0.8 s on" in note]
+    assert len(notes) == 1
+    assert ids[:9] == [[1]] * 9
+    second = {one for row in ids[9:] for one in row}
+    if has_own_tracker:
+        assert second == {1}
+    else:
+        assert second
+        assert 1 not in second
 
 
 def test_a_detector_that_fails_leaves_the_tracks_as_they_were(plain_drive: Drive) -> None:
