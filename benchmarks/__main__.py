@@ -34,10 +34,6 @@ WORKLOADS = {
         "errors of boxes and tracks on rendered drives and without images",
     ),
     "compare": ("gate", "ratios of the figures of two recordings"),
-    "detection": (
-        "speed.stages",
-        "time of each detector: preprocessing, inference, postprocessing",
-    ),
     "doubt": ("accuracy.ranging.doubt", "what runs say about wrong inputs, and their errors"),
     "far_pass": (
         "accuracy.detection.far_pass",
@@ -83,7 +79,6 @@ WORKLOADS = {
         "speed.processor_time",
         "processor time of each step of a run, and waits of its threads",
     ),
-    "ranging": ("speed.stages", "time of the box-only ranging methods, fusion and filters"),
     "recall": ("accuracy.detection.recall", "recall of detectors on simulated cars"),
     "recordings": (
         "accuracy.ranging.recordings",
@@ -97,6 +92,10 @@ WORKLOADS = {
     "self_calibration": (
         "accuracy.ranging.self_calibration",
         "cameras without a calibration: focal length, distortion, distances, time",
+    ),
+    "stages": (
+        "speed.stages",
+        "time and calls of each stage of a frame, and of detectors and formats",
     ),
     "startup": ("speed.runs", "start-up time of the command line and of the import"),
     "roads": (
@@ -120,7 +119,6 @@ WORKLOADS = {
         "accuracy.ranging.simulated_runs",
         "a fisheye against a pinhole of the same resolution",
     ),
-    "writers": ("speed.stages", "cost of the result formats"),
 }
 """Module, which has a function of the same name, and description of each workload."""
 

@@ -17,8 +17,7 @@ BASELINES = Path(__file__).with_name("baselines")
 
 FAST = {
     "startup": "--runs 5",
-    "ranging": "--frames 300",
-    "writers": "--frames 600 --rounds 3",
+    "stages": "--parts methods writers --tracks 1 6 50 --frames 600",
     "formats": "--frames 500",
     "stereo": "--scenes 1 --rounds 3 --seeds 1 --pairs none",
     "tracking": "--sets --rounds 2",
