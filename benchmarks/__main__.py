@@ -34,6 +34,10 @@ WORKLOADS = {
         "errors of boxes and tracks on rendered drives and without images",
     ),
     "compare": ("gate", "ratios of the figures of two recordings"),
+    "devices": (
+        "speed.devices",
+        "the network, runs and steps of a pipeline on each device",
+    ),
     "doubt": ("accuracy.ranging.doubt", "what runs say about wrong inputs, and their errors"),
     "far_pass": (
         "accuracy.detection.far_pass",
@@ -63,6 +67,10 @@ WORKLOADS = {
         "ranging from box bottoms with and without a known camera height",
     ),
     "lanes": ("accuracy.detection.lanes", "lane detectors: time, accuracy, agreement"),
+    "latency": (
+        "speed.latency",
+        "steps of a pipeline, and frames that a live run drops",
+    ),
     "memory": ("speed.runs", "resident memory of a run of 2,000 frames"),
     "occlusion": ("accuracy.ranging.occlusion", "stereo matchers for road users behind obstacles"),
     "mountings": (

@@ -108,7 +108,7 @@ def looped(drive: Path, folder: Path, *, n_frames: int) -> LoopedDrive:
     return LoopedDrive(folder / "left.mp4", folder / "right.mp4", drive / "calib.txt", image_hw)
 
 
-def ordinary_video(target: Path, *, n_frames: int) -> Path:
+def ordinary_video(target: Path, *, n_frames: int, fps: int = 25) -> Path:
     """A video of 1280x720 px as a dashcam writes it (H.264, crf 23): a real one, played forwards
     and backwards.
     """
@@ -116,7 +116,7 @@ def ordinary_video(target: Path, *, n_frames: int) -> Path:
         frames = [frame.to_ndarray(format="yuv420p") for frame in reader.decode(video=0)]
     period = 2 * len(frames) - 2
     with av.open(str(target), "w") as writer:
-        stream = writer.add_stream("libx264", rate=25, options={"crf": "23"})
+        stream = writer.add_stream("libx264", rate=fps, options={"crf": "23"})
         stream.height, stream.width = frames[0].shape[0] * 2 // 3, frames[0].shape[1]
         stream.pix_fmt = "yuv420p"
         for number in range(n_frames):

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import Figures, in_new_process, option, workload
-from benchmarks.inputs.drives import DRIVE_OPTIONS, looped, ordinary_video
+from benchmarks.inputs.drives import DRIVE_OPTIONS
+from benchmarks.inputs.emulated_network import OpenedStoredBoxes
+from benchmarks.inputs.run_inputs import RunInputs, opened_run
 from track_range.foundation.processes import tuned_process
-from track_range.run.options.precedence import settings_from
-from track_range.run.run import Run
 
 STEPS: dict[str, tuple[str, ...]] = {
     "decoding": ("recording.sources.files.video_file:_Reading._next_decoded",),
@@ -164,23 +164,25 @@ class _Probe:
         return waiting
 
 
-@workload(*DRIVE_OPTIONS, option("--frames", default=150, help="number of frames of each run"))
+@workload(
+    *DRIVE_OPTIONS,
+    option("--frames", default=150, help="number of frames of each run"),
+    option("--network-ms", default=0.0, help="time of a network with stored boxes; 0 = detector"),
+    option("--no-overlay", default=False, help="write no overlay"),
+)
 def processor_time(options: Namespace) -> Figures:
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        drive = looped(options.drive, folder, n_frames=options.frames)
-        video = ordinary_video(folder / "ordinary.mp4", n_frames=options.frames)
-        shared = {"detector": str(options.detector), "threads": 1, "device": "cpu"}
-        pair: dict[str, Any] = {
-            "stereo": (str(drive.left), str(drive.right)),
-            "rig": str(drive.rig),
-            "align": "off",
-        }
-        pair |= {"sgbm": False, "out": str(folder / "pair")}
-        one: dict[str, Any] = {"mono": str(video), "focal_px": 1150.0, "out": str(folder / "one")}
+        inputs = RunInputs.written(
+            Path(name), options.drive, options.detector, options.frames, options.network_ms
+        )
         threads = {
-            name: in_new_process(_times_ms, {**shared, **given}, options.frames)
-            for name, given in (("near-lossless pair", pair), ("ordinary video", one))
+            key: in_new_process(
+                _times_ms,
+                {**given, "overlay": not options.no_overlay},
+                inputs.stored.get(key),
+                options.frames,
+            )
+            for key, given in inputs.settings.items()
         }
     steps: Figures = {step: {} for step in (*STEPS, "other", "sum", "wall time")}
     waits: Figures = {}
@@ -197,11 +199,13 @@ def processor_time(options: Namespace) -> Figures:
     return {"steps_ms": steps, "threads_ms": waits}
 
 
-def _times_ms(settings: dict[str, Any], n_frames: int) -> dict[str, dict[str, float]]:
+def _times_ms(
+    settings: dict[str, Any], stored: OpenedStoredBoxes | None, n_frames: int
+) -> dict[str, dict[str, float]]:
     """Milliseconds per frame of each thread of a run, by step and wait."""
     probe = _Probe()
     begin = end = probe.times_s()
-    with Run(settings_from(settings)) as run, tuned_process(has_dense_stereo=run.settings.sgbm):
+    with opened_run(settings, stored) as run, tuned_process(has_dense_stereo=run.settings.sgbm):
         for number, _ in enumerate(run, 1):
             if number == _N_FIRST:
                 begin = probe.times_s()

@@ -15,8 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import PROGRAM, Figures, option, workload
+from benchmarks.harness import PROGRAM, Figures, in_new_process, option, workload
 from benchmarks.inputs.drives import DRIVE_OPTIONS, LoopedDrive, looped, ordinary_video
+from benchmarks.inputs.emulated_network import time_ms
+from benchmarks.inputs.run_inputs import RunInputs, run_ms
 from track_range.detection.models.onnx_session import OnnxSession, Runtime
 from track_range.detection.yolo.detector import DEFAULT_SIZE_PX
 from track_range.detection.yolo.letterbox import rectangular_input_hw
@@ -77,11 +79,14 @@ def startup(options: Namespace) -> Figures:
     *DRIVE_OPTIONS,
     option("--frames", default=300, help="number of frames of the looped drive"),
     option("--rounds", default=3, help="number of rounds"),
+    option("--network-ms", default=0.0, help="time of a network with stored boxes; 0 = detector"),
 )
 def pipeline(options: Namespace) -> Figures:
     """Wall time of whole runs relative to the detector's inference alone, both with one network
     thread, ms.
     """
+    if options.network_ms:
+        return _with_fast_network(options)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         drive = looped(options.drive, folder, n_frames=options.frames)
@@ -112,6 +117,30 @@ def pipeline(options: Namespace) -> Figures:
                 figures |= {kind: run_ms, f"{kind}, ratio": run_ms / alone_ms}
             rounds.append(figures)
     median = {key: statistics.median(figures[key] for figures in rounds) for key in rounds[0]}
+    return {"frames": options.frames, "median": median, "rounds": rounds}
+
+
+def _with_fast_network(options: Namespace) -> Figures:
+    """Wall time of runs with stored boxes and a network of the given time, with and without
+    overlay, ms.
+    """
+    rounds: list[dict[str, dict[str, float]]] = []
+    with tempfile.TemporaryDirectory() as name:
+        inputs = RunInputs.written(
+            Path(name), options.drive, options.detector, options.frames, options.network_ms
+        )
+        for _ in range(options.rounds):
+            figures = {"network alone": {"processor_ms": time_ms(inputs.detector)}}
+            for kind, settings in inputs.settings.items():
+                for has_overlay in (True, False):
+                    label = kind if has_overlay else f"{kind}, no overlay"
+                    given = {**settings, "overlay": has_overlay}
+                    figures[label] = in_new_process(run_ms, given, inputs.stored[kind])
+            rounds.append(figures)
+    median = {
+        kind: {key: statistics.median(figures[kind][key] for figures in rounds) for key in of_kind}
+        for kind, of_kind in rounds[0].items()
+    }
     return {"frames": options.frames, "median": median, "rounds": rounds}
 
 
