@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 import time
 from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +78,7 @@ def mono_ms(options: Namespace) -> Figures:
 
 
 def step_figures(
-    pipeline: tr.Pipeline, frames: list[tuple[Image, ...]], fps: float, options: Namespace
+    pipeline: tr.Pipeline, frames: Sequence[tuple[Image, ...]], fps: float, options: Namespace
 ) -> Figures:
     """Percentiles of the latency of the steps, and the longest ones with their numbers."""
     times_ms = []
@@ -85,11 +86,11 @@ def step_figures(
     begin_s = time.perf_counter()
     with pipeline, tuned_process(has_dense_stereo=False):
         for step in range(options.steps):
-            images = frames[period[step % len(period)]]
+            left, right = (*frames[period[step % len(period)]], None)[:2]
             if options.paced:
                 time.sleep(max(0.0, begin_s + step / fps - time.perf_counter()))
             start_s = time.perf_counter()
-            pipeline.step(*images, step / fps)
+            pipeline.step(left, right, step / fps)
             times_ms.append(1e3 * (time.perf_counter() - start_s))
     percentiles = np.percentile(times_ms, list(_PERCENTILES.values())).tolist()
     longest = np.argsort(times_ms)[::-1][:_N_LONGEST]

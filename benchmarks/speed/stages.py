@@ -178,7 +178,7 @@ def _pipeline(
 class _GivenLanes:
     """Lines of a straight lane in all images."""
 
-    notes = ()
+    notes: tuple[str, ...] = ()
 
     def find(self, image: Image, time_s: float, boxes_px: FloatArray = NO_BOXES) -> LaneLines:
         """The lines."""
