@@ -43,6 +43,7 @@ import numpy as np
 
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.track_state import TrackState
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.method import (
     ErrorSource,
@@ -135,7 +136,7 @@ class Horizon:
 
 
 _N = 4  # number of the unknowns x = (y0, H, fy k, b)
-_LOWER = np.tril_indices(_N, k=-1)
+_NO_TRACKS = np.zeros(0, np.int64)
 _FIXED = 1e-3  # standard deviation of unknowns that are taken to be 0, in px/m and as a fraction
 # of fixed-point iteration on a curved road; the fraction of the curvature changes slowly
 _N_CURVE_ROUNDS = 3
@@ -159,21 +160,21 @@ _MIN_INFORMATION = 1e-3
 
 
 class _Plane(NamedTuple):
-    """Least-squares estimates of the road."""
+    """Least-squares estimates of the road, one per track or, with an axis of length 1, for all."""
 
-    x: FloatArray  # (..., 4) y0 in px below the expected horizon, H in m, fy k in px/m, b
-    P: FloatArray  # (..., 4, 4) covariance
+    x: FloatArray  # (4, ...) y0 in px below the expected horizon, H in m, fy k in px/m, b
+    P: FloatArray  # (4, 4, ...) covariance
 
     def rows(self, basis: FloatArray) -> FloatArray:
-        """(N,) rows of the ground, in px below the expected horizon, from the `_basis` (4, N) of
+        """(...) rows of the ground, in px below the expected horizon, from the `_basis` (4, ...) of
         their distances.
         """
-        return np.asarray(np.vecdot(basis.T, self.x))
+        return np.asarray(np.add.reduce(basis * self.x, axis=0))
 
     def variance(self, basis: FloatArray) -> FloatArray:
-        """(N,) variances of `rows` in px^2."""
-        per_row = basis.T
-        return np.asarray(np.vecdot((self.P @ per_row[:, :, None])[:, :, 0], per_row))
+        """(...) variances of `rows` in px^2."""
+        P_a = np.add.reduce(self.P * basis, axis=1)
+        return np.asarray(np.add.reduce(basis * P_a, axis=0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,8 +203,7 @@ class GroundPlane:
         """Start from the prior in the settings; `camera` is undistorted."""
         self._camera = camera
         self._settings = settings or GroundSettings()
-        self._ids = np.zeros(0, np.int64)
-        self._terms = np.zeros((_N, _N + 1, 0))  # of each track in `_ids`
+        self._tracks = TrackState(np.zeros((_N, _N + 1)))  # terms of each track
         self._lane_terms = np.zeros((_N, _N + 1))
         # of tracks that left, about the mounting of the camera
         self._past_terms = np.zeros((_N, _N + 1))
@@ -218,13 +218,14 @@ class GroundPlane:
     def horizon(self) -> Horizon:
         """Current estimate of the horizon and the camera height."""
         plane = _solved(self._information)
-        y_px = float(self._expected_px(np.array(self._camera.cx_px)) + plane.x[0])
-        return Horizon(y_px, math.sqrt(plane.P[0, 0]), float(plane.x[1]))
+        y_px = float(self._expected_px(np.array(self._camera.cx_px)) + plane.x[0, 0])
+        return Horizon(y_px, math.sqrt(plane.P[0, 0, 0]), float(plane.x[1, 0]))
 
     @property
     def _information(self) -> FloatArray:
-        """(4, 5) normal equations of the prior, of lane lines and of all tracks."""
-        return np.asarray(self._prior + self._lane_terms + self._terms.sum(axis=-1))
+        """(4, 5, 1) normal equations of the prior, of lane lines and of all tracks."""
+        of_tracks = np.add.reduce(self._tracks.known, axis=-1)
+        return np.asarray(self._prior + self._lane_terms + of_tracks)[..., None]
 
     @property
     def has_seen_horizon(self) -> bool:
@@ -245,6 +246,8 @@ class GroundPlane:
 
     def set_height(self, height_m: float, sigma_m: float) -> None:
         """Set the prior of the camera height."""
+        if (height_m, sigma_m) == (self._settings.height_m, self._settings.height_sigma_m):
+            return
         self._settings = replace(self._settings, height_m=height_m, height_sigma_m=sigma_m)
         self._known_prior = None
 
@@ -255,7 +258,8 @@ class GroundPlane:
         It is ignored where it contradicts image motion and the objects on the road: the detected
         lines are then not lines of a lane.
         """
-        self._drop_forgotten(is_present=False)
+        nothing = self._tracks.get(_NO_TRACKS)
+        self._tracks.put(_NO_TRACKS, nothing, keep_known=self._is_informed())
         self._lane_terms = np.zeros((_N, _N + 1))
         below_px = y_px - float(self._expected_px(np.array(self._camera.cx_px)))
         lasting_px2 = self._pitch_px2
@@ -263,7 +267,8 @@ class GroundPlane:
             lasting_px2 = (_LINES_RAD * self._camera.fy_px) ** 2
         variance = sigma_px**2 + lasting_px2
         plane = _solved(self._information)
-        if abs(below_px - plane.x[0]) > _MAX_LINES_SIGMA * math.sqrt(variance + plane.P[0, 0]):
+        deviation_px = abs(below_px - float(plane.x[0, 0]))
+        if deviation_px > _MAX_LINES_SIGMA * math.sqrt(variance + float(plane.P[0, 0, 0])):
             return
         self._lane_terms[0, 0], self._lane_terms[0, -1] = 1.0 / variance, below_px / variance
 
@@ -273,44 +278,74 @@ class GroundPlane:
         NaN for predicted boxes, boxes truncated at the bottom or above the horizon, and sigmas
         above `max_sigma`.
         """
-        step_s = 0.0 if self._time_s is None else max(frame.time_s - self._time_s, 0.0)
-        self._time_s = frame.time_s
-        memory = math.exp(-step_s / self._settings.memory_s)
-        if self._road is None and step_s > 0:
-            present = set(tracks.track_id.tolist())
-            left = [
-                slot for slot, track_id in enumerate(self._ids.tolist()) if track_id not in present
-            ]
-            self._past_terms *= math.exp(-step_s / _DRIVE_S)
-            if left:
-                self._past_terms += (
-                    _PAST_WEIGHT * (1.0 - memory) * self._terms[..., left].sum(axis=-1)
-                )
-            self._known_prior = None
-        self._terms *= memory
-        self._lane_terms *= (
-            memory if self._lane_terms[0, 0] * self._pitch_px2 > _MIN_INFORMATION else 0.0
-        )
-        if not len(tracks):
-            return Ranges.unmeasured(tracks.track_id)
+        step_s = self._age(tracks, frame.time_s)
         contacts = self._contacts(tracks, by_size, frame)
-        slots = self._slots(tracks.track_id)
-        own = self._accumulated(contacts, slots, step_s=step_s)
-        others = _solved((self._information[..., None] - own).transpose(2, 0, 1))
-        self._update_pitch(contacts, others, step_s=step_s)
-        return self._ranges(tracks.track_id, contacts, others)
+        others = self._updated(contacts, tracks.track_id, step_s=step_s)
+        return Ranges(tracks.track_id, *self._distances(contacts, others))
 
     def measure_alone(self, tracks: Tracks, frame: Frame) -> Ranges:
         """Distances of the tracks on the ground from image motion and the camera height, without
         any size.
         """
         contacts = self._contacts(tracks, Ranges.unmeasured(tracks.track_id), frame)
-        return self._ranges(tracks.track_id, contacts, self._plane_alone)
+        return Ranges(tracks.track_id, *self._distances(contacts, self._plane_alone))
+
+    def measure_both(self, tracks: Tracks, by_size: Ranges, frame: Frame) -> tuple[Ranges, Ranges]:
+        """Distances as by `measure`, independent of the other method, and as by `measure_alone`."""
+        alone = self._plane_alone
+        step_s = self._age(tracks, frame.time_s)
+        contacts = self._contacts(tracks, by_size, frame)
+        others = self._updated(contacts, tracks.track_id, step_s=step_s)
+        # the axis of both planes stands before that of the tracks
+        x, P = np.empty((_N, 2, len(tracks))), np.empty((_N, _N, 2, len(tracks)))
+        x[:, 0], x[:, 1], P[:, :, 0], P[:, :, 1] = others.x, alone.x, others.P, alone.P
+        distance_m, sigma_m = self._distances(contacts, _Plane(x, P))
+        of_all, of_motion = (
+            Ranges(tracks.track_id, distance_m[i], sigma_m[i], is_fallback=False) for i in (0, 1)
+        )
+        return of_all, of_motion
+
+    def _age(self, tracks: Tracks, time_s: float) -> float:
+        """Let the measurements decay to the time of a frame with these tracks; returns the time
+        step in s.
+        """
+        step_s = 0.0 if self._time_s is None else max(time_s - self._time_s, 0.0)
+        self._time_s = time_s
+        memory = math.exp(-step_s / self._settings.memory_s)
+        if self._road is None and step_s > 0:
+            self._keep_past(tracks, step_s, forgotten=1.0 - memory)
+        terms = self._tracks.known
+        terms *= memory
+        self._lane_terms *= (
+            memory if self._lane_terms[0, 0] * self._pitch_px2 > _MIN_INFORMATION else 0.0
+        )
+        return step_s
+
+    def _updated(self, contacts: _Contacts, track_id: IntArray, *, step_s: float) -> _Plane:
+        """The road at each of N tracks from all other objects, with the measurements of the
+        frame.
+        """
+        if not len(track_id):
+            return _Plane(np.zeros((_N, 0)), np.zeros((_N, _N, 0)))
+        own = self._accumulated(contacts, track_id, step_s=step_s)
+        others = _solved(self._information - own)
+        self._update_pitch(contacts, others, step_s=step_s)
+        return others
+
+    def _keep_past(self, tracks: Tracks, step_s: float, *, forgotten: float) -> None:
+        """Keep a part of what is forgotten of the tracks that left."""
+        has_left = self._tracks.is_absent(tracks.track_id)
+        if not has_left.any() and not self._past_terms.any():
+            return
+        self._past_terms *= math.exp(-step_s / _DRIVE_S)
+        of_left = self._tracks.known[..., has_left].sum(axis=-1)
+        self._past_terms += _PAST_WEIGHT * forgotten * of_left
+        self._known_prior = None
 
     @property
     def _plane_alone(self) -> _Plane:
         """The road without the objects on it."""
-        return _solved(self._prior + self._lane_terms)
+        return _solved((self._prior + self._lane_terms)[..., None])
 
     @property
     def _prior(self) -> FloatArray:
@@ -323,26 +358,33 @@ class GroundPlane:
 
     def _prior_terms(self) -> FloatArray:
         settings, fy, road = self._settings, self._camera.fy_px, self._road
-        mean, P = np.zeros(_N), np.zeros((_N, _N))
-        mean[1], P[1, 1], P[3, 3] = (
-            settings.height_m,
-            settings.height_sigma_m**2,
-            self._bias_variance,
-        )
+        curvature = covariance = 0.0  # of the road, without image motion
         if road is None:
-            P[0, 0], P[2, 2] = (settings.horizon_sigma_rad * fy) ** 2, _FIXED**2
+            horizon_variance, curvature_variance = settings.horizon_sigma_rad**2, 0.0
         else:
-            mean[2] = fy * road.curvature_per_m
-            P[0, 0] = fy**2 * (road.horizon_variance + settings.road_sigma_rad**2)
-            P[2, 2] = fy**2 * road.curvature_variance + _FIXED**2
-            P[0, 2] = P[2, 0] = fy**2 * road.covariance
-        information = np.linalg.inv(P)
+            curvature, covariance = road.curvature_per_m, road.covariance
+            horizon_variance = road.horizon_variance + settings.road_sigma_rad**2
+            curvature_variance = road.curvature_variance
+        # P^-1 of y0 and fy k, which alone are correlated, by the inverse of a matrix (2, 2)
+        P_yy, P_yk = fy**2 * horizon_variance, fy**2 * covariance
+        P_kk = fy**2 * curvature_variance + _FIXED**2
+        determinant = P_yy * P_kk - P_yk**2
+        of_y, of_yk, of_k = P_kk / determinant, -P_yk / determinant, P_yy / determinant
+        of_H, H, k = settings.height_sigma_m**-2, settings.height_m, fy * curvature
+        terms = np.array(
+            [
+                [of_y, 0.0, of_yk, 0.0, of_yk * k],
+                [0.0, of_H, 0.0, 0.0, of_H * H],
+                [of_yk, 0.0, of_k, 0.0, of_k * k],
+                [0.0, 0.0, 0.0, 1.0 / self._bias_variance, 0.0],
+            ]
+        )
         if road is None and self._past_terms.any():  # since those tracks the pitch has changed
-            mean, P = _solved(np.column_stack([information, information @ mean]) + self._past_terms)
-            P[0, 0] += (settings.pitch_sigma_rad * fy) ** 2
-            information = np.linalg.inv(P)
-        terms = np.column_stack([information, information @ mean])
-        terms[_LOWER] = information.T[_LOWER]  # the inverse is symmetric but for rounding
+            known = _solved((terms + self._past_terms)[..., None])
+            known.P[0, 0] += (settings.pitch_sigma_rad * fy) ** 2
+            information = np.linalg.inv(known.P[..., 0])
+            information = (information + information.T) / 2  # symmetric but for rounding
+            terms = np.concatenate([information, information @ known.x], axis=1)
         return terms
 
     def _expected_px(self, x_px: FloatArray) -> FloatArray:
@@ -356,11 +398,11 @@ class GroundPlane:
         return np.asarray(camera.cy_px + camera.fy_px * tangent)
 
     def _basis(self, s: FloatArray) -> FloatArray:
-        """(4, N) derivatives of the row of the ground at s = fy / d (N,) by the unknowns, without
+        """(4, ...) derivatives of the row of the ground at s = fy / d (...) by the unknowns, without
         b.
         """
         distance_m = self._camera.fy_px / s
-        basis = np.zeros((_N, len(s)))
+        basis = np.zeros((_N, *s.shape))
         basis[0], basis[1], basis[2] = 1.0, s, curvature_fraction(distance_m) * distance_m / -2
         return basis
 
@@ -394,48 +436,32 @@ class GroundPlane:
             is_informative=is_informative,
         )
 
-    def _slots(self, track_id: IntArray) -> IntArray:
-        """(N,) index of each track in `_terms`; removes tracks with too little information and adds
-        new tracks.
-        """
-        if np.array_equal(track_id, self._ids):
-            return np.arange(len(track_id))
-        is_same = track_id[:, None] == self._ids
-        is_known = is_same.any(axis=1)
-        self._drop_forgotten(is_same.any(axis=0))
-        if not is_known.all():
-            new_id = track_id[~is_known]
-            self._ids = np.concatenate([self._ids, new_id])
-            self._terms = np.concatenate(
-                [self._terms, np.zeros((_N, _N + 1, len(new_id)))], axis=-1
-            )
-        return np.asarray((track_id[:, None] == self._ids).argmax(axis=1))
+    def _is_informed(self) -> BoolArray:
+        """(K,) which of the known tracks still say something about the horizon."""
+        return np.asarray(self._tracks.known[0, 0] * self._pitch_px2 > _MIN_INFORMATION)
 
-    def _drop_forgotten(self, is_present: BoolArray | bool) -> None:
-        """Remove tracks with too little information, except tracks in the mask (K,)."""
-        stays = (self._terms[0, 0] * self._pitch_px2 > _MIN_INFORMATION) | is_present
-        if not stays.all():
-            self._ids, self._terms = self._ids[stays], self._terms[..., stays]
-
-    def _accumulated(self, contacts: _Contacts, slots: IntArray, *, step_s: float) -> FloatArray:
+    def _accumulated(self, contacts: _Contacts, track_id: IntArray, *, step_s: float) -> FloatArray:
         """(4, 5, N) normal equations of the tracks, with this frame's measurements in their running
         averages.
         """
+        previous = self._tracks.get(track_id)
+        # new tracks are added, and forgotten ones left out, before the road is estimated
+        self._tracks.put(track_id, previous, keep_known=self._is_informed())
         plane = _solved(self._information)
-        a, H = contacts.basis.copy(), float(plane.x[1])
+        a, H = contacts.basis.copy(), float(plane.x[1, 0])
         variance = H**2 * contacts.s_variance + contacts.R
         a[3] = -H * contacts.s  # by b: an object farther by b is at s (1 - b)
         excess = np.abs(contacts.y - plane.rows(a))
         excess /= _HUBER_SIGMA * np.sqrt(variance + plane.variance(a))
         weight = 1.0 / (variance * np.maximum(1.0, excess))
-        previous = self._terms.take(slots, axis=-1)
         gain = contacts.is_informative * np.where(
             previous[0, 0] == 0, 1.0, 1.0 - math.exp(-step_s / self._settings.average_s)
         )
         terms = a[:, None] * np.concatenate([a, contacts.y[None]]) * weight
-        average = gain * terms + (1.0 - gain) * previous
-        self._terms[..., slots] = average
-        return np.asarray(average)
+        average = np.asarray(gain * terms + (1.0 - gain) * previous)
+        n_known = self._tracks.known.shape[-1]
+        self._tracks.put(track_id, average, keep_known=np.ones(n_known, np.bool_))
+        return average
 
     def _update_pitch(self, contacts: _Contacts, plane: _Plane, *, step_s: float) -> None:
         """Update the pitch variance so that the squared residuals agree with their expected
@@ -445,7 +471,7 @@ class GroundPlane:
             return
         basis, pitch_px2 = contacts.basis, self._pitch_px2
         residual = contacts.y - plane.rows(basis)
-        expected = plane.x[:, 1] ** 2 * contacts.s_variance + plane.variance(basis) + contacts.R
+        expected = plane.x[1] ** 2 * contacts.s_variance + plane.variance(basis) + contacts.R
         excess = np.minimum(residual**2, 10 * expected) - expected
         # small if other errors dominate
         weight = contacts.is_informative * (pitch_px2 / expected) ** 2
@@ -454,8 +480,11 @@ class GroundPlane:
         initial_px2 = (self._settings.pitch_sigma_rad * self._camera.fy_px) ** 2
         self._pitch_px2 = min(max(pitch_px2, initial_px2 / 16), 9 * initial_px2)
 
-    def _ranges(self, track_id: IntArray, contacts: _Contacts, plane: _Plane) -> Ranges:
-        fy, (y0, H, fy_k, _) = self._camera.fy_px, plane.x.T
+    def _distances(self, contacts: _Contacts, plane: _Plane) -> tuple[FloatArray, FloatArray]:
+        """(..., N) distances of N tracks, for each of several roads, and their standard
+        deviations.
+        """
+        fy, (y0, H, fy_k, _) = self._camera.fy_px, plane.x
         below_px = contacts.y - y0
         is_below = contacts.on_ground & (below_px > 1.0) & (H > 0.1)
         H, fy_k = np.where(is_below, H, 1.0), np.where(is_below, fy_k, 1.0)
@@ -468,7 +497,7 @@ class GroundPlane:
         )
         is_valid = is_below & (sigma < self._settings.max_sigma)
         contact_m = np.where(is_valid, contact_m, np.nan)
-        return Ranges(track_id, contact_m + contacts.offset_m, contact_m * sigma)
+        return contact_m + contacts.offset_m, contact_m * sigma
 
     def _row_variance(self, s: FloatArray, across_px: FloatArray) -> FloatArray:
         """(N,) variance R in px^2 of bottom edges about the estimated road, for s = fy / d (N,) in
@@ -532,13 +561,14 @@ class GroundRanger(Ranger):
         self.plane.update_road(self._road, bias_sigma=scale.bias_of("car").sigma)
         by_size = others["mono"] if "mono" in others else Ranges.unmeasured(tracks.track_id)
         is_independent = self._is_reference and self.plane.has_seen_horizon and not self._has_stereo
-        evidence = None
-        if is_independent and self._road is not None and "mono" in others:
-            alone = self.plane.measure_alone(tracks, frame)
-            common = _COMMON * alone.sigma_m / alone.distance_m
-            evidence = ScaleEvidence(tracks.class_id, None, alone, _REFERENCE_SIGMA, common)
-        ranges = self.plane.measure(tracks, by_size, frame)
-        return Measured(replace(ranges, is_fallback=not is_independent), evidence)
+        if not is_independent:
+            return Measured(self.plane.measure(tracks, by_size, frame))
+        ranges, alone = self.plane.measure_both(tracks, by_size, frame)
+        if self._road is None or "mono" not in others:
+            return Measured(ranges)
+        common = _COMMON * alone.sigma_m / alone.distance_m
+        evidence = ScaleEvidence(tracks.class_id, None, alone, _REFERENCE_SIGMA, common)
+        return Measured(ranges, evidence)
 
     def update_road(self, road: RoadView) -> None:
         """Use the road in the next frame as image motion shows it."""
@@ -557,9 +587,10 @@ class GroundRanger(Ranger):
 
 
 def _solved(normal: FloatArray) -> _Plane:
-    """Least-squares solutions of (..., 4, 5) normal equations, with their covariances."""
-    P = np.asarray(np.linalg.inv(normal[..., :_N]), np.float64)
-    return _Plane((P @ normal[..., _N:])[..., 0], P)
+    """Least-squares solutions of (4, 5, N) normal equations, with their covariances."""
+    A, v = normal[:, :_N], normal[:, _N]
+    P = np.asarray(np.linalg.inv(A.transpose(2, 0, 1)).transpose(1, 2, 0), np.float64)
+    return _Plane(np.asarray(np.add.reduce(P * v, axis=1)), P)
 
 
 def _distance_on_curve_m(below: FloatArray, H: FloatArray, k: FloatArray) -> FloatArray:

@@ -364,22 +364,23 @@ def checked_ranges(
         raise MethodError(
             f"ranging method {method!r}: expected {len(tracks)} ranges, got {len(ranges)}"
         )
-    if not np.array_equal(ranges.track_id, tracks.track_id):
+    if ranges.track_id is not tracks.track_id and not np.array_equal(
+        ranges.track_id, tracks.track_id
+    ):
         raise MethodError(
             f"ranging method {method!r}: expected the track_id of the tracks in the same order"
         )
     distance_m, sigma_m, systematic_m = ranges.distance_m, ranges.sigma_m, ranges.sigma_systematic_m
-    is_measured, is_given = (distance_m > 0) & (distance_m < np.inf), ~np.isnan(distance_m)
-    is_valid = {"distance_m": is_measured, "sigma_m": (sigma_m > 0) & (sigma_m < np.inf)}
+    # False for NaN: the smaller of two values is positive only if both are
+    is_measured = np.minimum(distance_m, sigma_m) > 0
+    is_measured &= np.maximum(distance_m, sigma_m) < np.inf
     if systematic_m is not None:
-        is_valid["sigma_systematic_m"] = (systematic_m >= 0) & (systematic_m < np.inf)
-    is_measured = np.all(list(is_valid.values()), axis=0)
-    if np.all(is_measured | ~is_given & np.isnan(sigma_m)):
+        is_measured &= (systematic_m >= 0) & (systematic_m < np.inf)
+    is_empty = np.isnan(distance_m) & np.isnan(sigma_m)
+    if np.count_nonzero(is_measured) + np.count_nonzero(is_empty) == len(ranges):
         return ranges
     if n_invalid is not None:
-        for column, valid in is_valid.items():
-            n_invalid[method, column] += int((is_given & ~valid).sum())
-            is_given &= valid
+        _count_invalid(method, ranges, n_invalid)
     return replace(
         ranges,
         distance_m=np.where(is_measured, distance_m, np.nan),
@@ -388,3 +389,18 @@ def checked_ranges(
         if systematic_m is None
         else np.where(is_measured, systematic_m, np.nan),
     )
+
+
+def _count_invalid(method: str, ranges: Ranges, n_invalid: Counter[tuple[str, str]]) -> None:
+    """Count the given distances that are not valid, each by its first column that is not."""
+    distance_m, sigma_m, systematic_m = ranges.distance_m, ranges.sigma_m, ranges.sigma_systematic_m
+    is_valid = {
+        "distance_m": (distance_m > 0) & (distance_m < np.inf),
+        "sigma_m": (sigma_m > 0) & (sigma_m < np.inf),
+    }
+    if systematic_m is not None:
+        is_valid["sigma_systematic_m"] = (systematic_m >= 0) & (systematic_m < np.inf)
+    is_given = ~np.isnan(distance_m)
+    for column, valid in is_valid.items():
+        n_invalid[method, column] += int((is_given & ~valid).sum())
+        is_given &= valid
