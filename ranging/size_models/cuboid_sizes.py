@@ -48,9 +48,8 @@ CLASS_CONFUSION: Mapping[str, Mapping[str, float]] = {
 }
 # median and one standard deviation to either side
 _QUANTILES_68 = np.array([0.158655, 0.5, 0.841345])
-# one and two standard deviations to either side
-_QUANTILES = np.array([0.02275, 0.158655, 0.841345, 0.97725])
-_MEDIAN = np.array([0.5])  # under p(log d) / d, which has the smallest expected relative error
+# median, and one and two standard deviations to either side
+_QUANTILES = np.array([0.02275, 0.158655, 0.5, 0.841345, 0.97725])
 
 _CALIBRATION, _ONE_BODY_CALIBRATION = 0.92, 0.85
 """Factors of sigma for classes with several body types and with a single type, since the width of
@@ -105,6 +104,11 @@ class CuboidSizes:
         return ShapeTables(self.priors)
 
     @cached_property
+    def _n_bodies(self) -> IntArray:
+        # (classes,) number of possible body types
+        return np.asarray((self._mixture[1] > IMPOSSIBLE).sum(axis=1))
+
+    @cached_property
     def _mixture(self) -> tuple[IntArray, FloatArray]:
         return _body_mixture(self._tables)
 
@@ -126,10 +130,11 @@ class CuboidSizes:
     ) -> tuple[FloatArray, ...]:
         n_bodies = len(self._tables.class_name)
         body, log_fraction = self._bodies_of(boxes)
-        n_possible = int((log_fraction > IMPOSSIBLE).sum(axis=0).max())
-        body, log_fraction = body[:n_possible], log_fraction[:n_possible]
+        # possible types come first
+        n_possible = int(self._n_bodies[boxes.size_class].max())
+        body, log_fraction = body[:, :n_possible], log_fraction[:, :n_possible]
         if drive is not None:
-            log_fraction += drive.body_evidence(n_bodies)[body, rows]
+            log_fraction += drive.body_evidence(n_bodies)[body, rows[:, None]]
         by_size = mixture_by_size(self._tables, boxes, body, log_fraction)
         grid = on_grid(by_size)
         # unlike moments not affected by unlikely body types
@@ -157,8 +162,9 @@ class CuboidSizes:
         else:
             likelihood, terms = np.ones_like(grid.log_m), None
         grid = grid.times(likelihood)
-        lowest, low, high, highest = grid.quantiles(_QUANTILES)
-        (best,) = grid.quantiles(_MEDIAN, is_relative=True)
+        (lowest, low, _, high, highest), relative = grid.quantiles_and_relative(_QUANTILES)
+        # the median under p(log d) / d has the smallest expected relative error
+        best = relative[2]
         sigma = np.maximum(
             np.maximum((high - low) / 2, np.maximum(highest - best, best - lowest) / 2), _MIN_SIGMA
         )
@@ -190,9 +196,9 @@ class CuboidSizes:
         return distance_m, distance_m * sigma, distance_m * systematic
 
     def _bodies_of(self, boxes: BoxExtents) -> tuple[IntArray, FloatArray]:
-        """(M, N) body types that each box may show, and their log probabilities."""
+        """(N, M) body types that each box may show, and their log probabilities."""
         body, log_fraction = self._mixture
-        return body.take(boxes.size_class, axis=1), log_fraction.take(boxes.size_class, axis=1)
+        return body.take(boxes.size_class, axis=0), log_fraction.take(boxes.size_class, axis=0)
 
     def _body_likelihood(
         self,
@@ -205,18 +211,15 @@ class CuboidSizes:
         """(B, N) log likelihoods of all body types by size and ground; 0 = the most likely type,
         -inf = impossible.
         """
-        (m, n), n_bodies = body.shape, len(self._tables.class_name)
-        by_term = np.vecdot(grid.by_term, likelihood)
-        index = by_size.body.T * n + np.arange(n)
-        evidence = np.bincount(index.ravel(), weights=by_term.ravel(), minlength=m * n).reshape(
-            m, n
-        )
-        log_likelihood = np.log(np.maximum(evidence, 1e-300)) - log_fraction
-        is_possible = log_fraction > IMPOSSIBLE / 2
-        log_likelihood -= log_likelihood.max(axis=0, where=is_possible, initial=-np.inf)
+        (n, m), n_bodies = body.shape, len(self._tables.class_name)
+        by_term = np.vecdot(grid.by_term, likelihood.astype(np.float32))
+        index = by_size.body + np.arange(0, n * m, m)[:, None]
+        evidence = np.bincount(index.ravel(), weights=by_term.T.ravel(), minlength=n * m)
+        log_likelihood = np.log(np.maximum(evidence, 1e-300)).reshape(n, m) - log_fraction
+        log_likelihood[log_fraction < IMPOSSIBLE / 2] = -np.inf
+        log_likelihood -= np.maximum.reduce(log_likelihood, axis=1, keepdims=True)
         result = np.full((n_bodies, n), -np.inf)
-        index = body * n + np.arange(n)
-        result.ravel()[index[is_possible]] = log_likelihood[is_possible]
+        result[body, np.arange(n)[:, None]] = log_likelihood
         return result
 
     def log_evidence(self, boxes: BoxExtents) -> FloatArray:
@@ -253,8 +256,8 @@ def cuboids_in(content: CuboidFile) -> CuboidSizes:
 
 
 def _body_mixture(tables: ShapeTables) -> tuple[IntArray, FloatArray]:
-    """(M, classes) body types that each detected class may show, and the logarithms of their
-    probabilities.
+    """(classes, M) body types that each detected class may show, and the logarithms of their
+    probabilities, possible types first.
     """
     mixtures = []
     for detected in SIZE_CLASSES:
@@ -267,10 +270,13 @@ def _body_mixture(tables: ShapeTables) -> tuple[IntArray, FloatArray]:
         mixtures.append(bodies)
     m = max(len(mixture) for mixture in mixtures)
     body, log_fraction = (
-        np.zeros((m, len(SIZE_CLASSES)), np.int64),
-        np.full((m, len(SIZE_CLASSES)), IMPOSSIBLE),
+        np.zeros((len(SIZE_CLASSES), m), np.int64),
+        np.full((len(SIZE_CLASSES), m), IMPOSSIBLE),
     )
-    for column, mixture in enumerate(mixtures):
-        for row, (k, fraction) in enumerate(mixture):
+    for row, mixture in enumerate(mixtures):
+        possible = {k for k, _ in mixture}
+        # in the place of missing types stands another one, which is impossible, too
+        body[row] = next((k for k in range(len(tables.class_name)) if k not in possible), 0)
+        for column, (k, fraction) in enumerate(mixture):
             body[row, column], log_fraction[row, column] = k, np.log(fraction)
     return body, log_fraction

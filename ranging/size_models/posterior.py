@@ -16,14 +16,12 @@ Sigma is half the width of the central 68 %, or half the distance to the farther
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.ranging.size_models.prior import NODE_RANGE, ShapeTables
+from track_range.ranging.size_models.prior import NODE_RANGE, Floats32, ShapeTables
 from track_range.ranging.size_models.shared_ground import (
     GroundContacts,
     GroundFromOthers,
@@ -50,22 +48,43 @@ _NOT_ON_THE_ROAD = 0.003  # likelihood per unit of tangent of a bottom edge on a
 # (weight, scale) of Gaussians: Student's t with 2 d.o.f.
 _T_COMPONENTS = ((0.5, 0.8), (0.35, 2.0), (0.15, 5.0))
 
-_Float32 = npt.NDArray[np.float32]
 
+class SizeMixture(NamedTuple):
+    """Log distance by size: a mixture of T Gaussians for each of N boxes."""
 
-@dataclass(frozen=True, slots=True)
-class SizeMixture:
-    """Log distance by size: a mixture of K Gaussians for each of N boxes."""
-
-    mean: FloatArray  # (N, K) means of log d, d in metres
-    variance: FloatArray  # (N, K) variances of log d
-    weight: FloatArray  # (N, K) weights, which sum to 1 per box
+    mean: FloatArray  # (N, T) means of log d, d in metres
+    variance: FloatArray  # (N, T) variances of log d
+    weight: FloatArray  # (N, T) weights, which sum to 1 per box
     # (N,) part of the variance of log d that comes from the noise of the box
     frame_variance: FloatArray
     log_contact_ratio: FloatArray  # (N,) log of the distance divided by the nearest ground point's
-    body: IntArray  # (N, K) index of each Gaussian's body type among the M possible ones
+    body: IntArray  # (N, T) index of each Gaussian's body type among the M possible ones
     # (N,) smallest squared deviation from a body type, plus 2 log (best weight / its weight)
     chi2: FloatArray
+
+
+class _Terms(NamedTuple):
+    """The Gaussians of x = log d - log_m for N boxes, M body types and K yaw bins; arrays of all of
+    them are in single precision.
+
+    With slopes s of the log size at the node, V = S + R and the prior x ~ N(x0, 1 / p0), the log
+    size relative to the node is e = s x + N(0, V). Completing the square gives one Gaussian for x:
+
+        precision   p = g's + p0,                   g = V^-1 s
+        mean        x = (g'e + p0 x0) / p
+        weight      log w - (e'V^-1 e - p x^2 + p0 x0^2 + log(p |V| / p0)) / 2
+    """
+
+    log_m: FloatArray  # (N, M)
+    log_prior: Floats32  # (N, M, K) log w
+    log_weight: Floats32  # (N, M, K)
+    x: Floats32  # (N, M, K)
+    det: Floats32  # (N, M, K) |V|
+    p_det: Floats32  # (N, M, K) p |V|
+    g_det: Floats32  # (2, N, M, K) g |V| of log height and log width
+    chi2: Floats32  # (N, M, K) e'V^-1 e - p x^2
+    prior_chi2: FloatArray  # (N, M) p0 x0^2
+    log_contact_ratio: Floats32  # (N, M, K)
 
 
 def mixture_by_size(
@@ -73,25 +92,39 @@ def mixture_by_size(
 ) -> SizeMixture:
     """Log distance of N boxes from their size, without the bottom edge.
 
-    `body` (M, N) are the possible body types of each box, `log_fraction` (M, N) their log
+    `body` (N, M) are the possible body types of each box, `log_fraction` (N, M) their log
     probabilities; `IMPOSSIBLE` = excluded.
     """
-    packed, n = _packed_terms(tables, boxes, body, log_fraction), len(boxes)
-    n_all = packed.shape[1]
-    n_terms = min(N_TERMS, n_all)
-    best = np.argpartition(-_Terms._make(packed).log_weight.T, n_terms - 1, axis=1)[:, :n_terms]
-    index = best * n + np.arange(n)[:, None]
-    terms = _Terms._make(packed.reshape(len(packed), -1).take(index, axis=1).astype(np.float64))
-    weight = np.exp(terms.log_weight - terms.log_weight.max(axis=1, keepdims=True))
-    weight /= weight.sum(axis=1, keepdims=True)
+    terms = _all_terms(tables, boxes, body, log_fraction)
+    n, m, n_yaws = terms.log_weight.shape
+    n_all = m * n_yaws
+    n_others = max(n_all - N_TERMS, 0)
+    best = np.argpartition(terms.log_weight.reshape(n, n_all), n_others, axis=1)[:, n_others:]
+    # (N, T) places of the most likely Gaussians in arrays (N, M, K), and in arrays (N, M)
+    term = best + np.arange(0, n * n_all, n_all)[:, None]
+    pair = term // n_yaws
+
+    def of_best(values: Floats32) -> FloatArray:
+        return values.take(term).astype(np.float64)
+
+    weight = of_best(terms.log_weight)
+    weight -= np.maximum.reduce(weight, axis=1, keepdims=True)
+    np.exp(weight, out=weight)
+    weight /= np.add.reduce(weight, axis=1, keepdims=True)
+    p_det, (g_h, g_w) = of_best(terms.p_det), terms.g_det
+    noise_h, noise_w = boxes.noise_variance.T[::-1, :, None]
+    by_noise = of_best(g_h) ** 2 * noise_h + of_best(g_w) ** 2 * noise_w
+    log_best = np.maximum.reduce(terms.log_prior.reshape(n, n_all), axis=1)[:, None]
+    chi2 = of_best(terms.chi2) + terms.prior_chi2.take(pair)
+    chi2 += 2.0 * (log_best - of_best(terms.log_prior))
     return SizeMixture(
-        mean=terms.mean,
-        variance=terms.variance,
+        mean=of_best(terms.x) + terms.log_m.take(pair),
+        variance=of_best(terms.det) / p_det,
         weight=weight,
-        frame_variance=np.vecdot(weight, terms.noise_variance),
-        log_contact_ratio=np.vecdot(weight, terms.log_contact_ratio),
-        body=(np.arange(n_all) % len(body)).take(best),
-        chi2=terms.chi2.min(axis=1),
+        frame_variance=np.vecdot(weight, by_noise / (p_det * p_det)),
+        log_contact_ratio=np.vecdot(weight, of_best(terms.log_contact_ratio)),
+        body=best // n_yaws,
+        chi2=np.minimum.reduce(chi2, axis=1),
     )
 
 
@@ -101,118 +134,115 @@ def log_evidence(
     """(N,) log likelihood of log height and log width of N boxes, up to a constant per box;
     arguments as above.
     """
-    log_weight = _Terms._make(_packed_terms(tables, boxes, body, log_fraction)).log_weight.astype(
-        np.float64
-    )
-    largest = log_weight.max(axis=0)
-    return np.asarray(largest + np.log(np.exp(log_weight - largest).sum(axis=0)))
+    terms = _all_terms(tables, boxes, body, log_fraction)
+    log_weight = terms.log_weight.reshape(len(boxes), -1).astype(np.float64)
+    largest = log_weight.max(axis=1)
+    return np.asarray(largest + np.log(np.exp(log_weight - largest[:, None]).sum(axis=1)))
 
 
-class _Terms(NamedTuple):
-    """Gaussians of log d, arrays of equal shape: the rows of one packed array, so that one `take`
-    selects the best.
-    """
-
-    log_weight: FloatArray
-    mean: FloatArray
-    variance: FloatArray
-    noise_variance: FloatArray  # part of the variance due to box noise
-    log_contact_ratio: FloatArray
-    chi2: FloatArray
-
-
-def _packed_terms(
+def _all_terms(
     tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction: FloatArray
-) -> _Float32:
-    """(6, K * M, N) the `_Terms` of all Gaussians of N boxes.
+) -> _Terms:
+    """The Gaussians of N boxes; arguments as of `mixture_by_size`.
 
-    With x = log d - log_m, slopes s of the log size at the node, V = S + R and prior x ~ N(x0, 1 /
-    p0), the log size relative to the node is e = s x + N(0, V). Completing the square gives one
-    Gaussian for x:
-
-        precision   p = g's + p0,                   g = V^-1 s
-        mean        x = (g'e + p0 x0) / p
-        weight      log w - (e'V^-1 e + p0 x0^2 - p x^2 + log(p |V| / p0)) / 2
-
-    For V = [v_h b; b v_w], in the code (a, c) = (v_h, v_w) / |V| and b / |V| are the entries of
-    V^-1 = [c -b; -b a]. Arrays are (K, M, N), for K yaw bins, or broadcastable to this shape;
-    arrays derived from the nodes are in single precision.
+    For V = [v_h b; b v_w], |V| V^-1 = [v_w -b; -b v_h]: multiples of |V| save divisions.
     """
     log_hw = np.log(boxes.wh_over_f.T[::-1])
-    log_height, mean_log_m, precision = tables.typical.take(body, axis=1)
-    guess = log_height - log_hw[0]
+    log_height, mean_log_m, p0 = tables.typical.take(body, axis=1)
+    guess = log_height - log_hw[0][:, None]
     inside = np.minimum(np.maximum(guess, NODE_RANGE[0]), NODE_RANGE[1])
     bearing_step, log_step, nodes = tables.at(body, np.abs(boxes.bearing), inside)
     # outside the nodes, size is inversely proportional to distance
-    scaled = log_hw[:, None] + (guess - inside)
-    noise = boxes.noise_variance.T[::-1]
-    errors = noise + boxes.systematic_sigma.T[::-1] ** 2
+    scaled = log_hw[:, :, None] + (guess - inside)
+    errors = boxes.noise_variance.T[::-1] + boxes.systematic_sigma.T[::-1] ** 2
     errors[1] += np.where(boxes.uses_width, 0.0, _UNSEEN_VARIANCE)
     log_m = guess - log_step
+    x0 = mean_log_m - log_m
+    prior_chi2 = p0 * x0 * x0
 
-    x0, p0 = (mean_log_m - log_m).astype(np.float32), precision.astype(np.float32)
-    R = errors.astype(np.float32)[:, None, None]
-    e = (
-        scaled.astype(np.float32)[:, None]
-        - nodes.log_hw
-        - bearing_step.astype(np.float32) * nodes.per_bearing
+    # s and e share an array (2, 2, N, M, K): both are multiplied by V^-1
+    s_e, b = nodes.slopes_and_sizes, nodes.covariance
+    e = s_e[1]
+    np.subtract(_single(scaled), e, out=e)
+    e -= _single(bearing_step[:, None]) * nodes.per_bearing
+    V = nodes.variance
+    V += _single(errors[:, :, None])
+    det = V[0] * V[1] - b * b
+    times_V = s_e * V[::-1] - s_e[:, ::-1] * b  # |V| V^-1 (s, e)
+    g_det = times_V[0]
+    g_s, g_e = s_e * g_det
+    e_e = e * times_V[1]
+    p_det = g_s[0] + g_s[1] + _single(p0) * det
+    p_x_det = g_e[0] + g_e[1] + _single(p0 * x0) * det
+    x = p_x_det / p_det
+    chi2 = (e_e[0] + e_e[1] - p_x_det * x) / det
+    log_prior = tables.log_weight.take(body, axis=0) + _single(log_fraction)
+    log_weight = np.log(p_det)
+    log_weight += chi2
+    log_weight *= -0.5
+    log_weight += log_prior
+    log_weight += _single(0.5 * (np.log(p0) - prior_chi2))
+    return _Terms(
+        log_m=log_m,
+        log_prior=log_prior,
+        log_weight=log_weight,
+        x=x,
+        det=det,
+        p_det=p_det,
+        g_det=g_det,
+        chi2=chi2,
+        prior_chi2=prior_chi2,
+        log_contact_ratio=nodes.log_contact_ratio,
     )
-    s, b, (e_h, e_w) = nodes.per_log_m, nodes.covariance, e
-    V = nodes.variance + R
-    det = V[0] * V[1] - b * b  # |V|
-    scale = 1.0 / det
-    V *= scale
-    (a, c), b = V, b * scale
-    g = V[::-1] * s
-    g -= b * s[::-1]
-    gs, ge = g * s, g * e
-    p = gs[0] + gs[1] + p0
-    inverse = 1.0 / p
-    h = ge[0] + ge[1] + x0 * p0
-    x = h * inverse
-    chi2 = (c * e_h - 2 * b * e_w) * e_h + a * e_w * e_w + x0 * x0 * p0 - h * x
-    log_weight = nodes.log_weight + log_fraction.astype(np.float32)
-    g *= g
-    g *= noise.astype(np.float32)[:, None, None]
-    packed = np.empty((len(_Terms._fields), *b.shape), np.float32)
-    terms = _Terms._make(packed)
-    np.subtract(log_weight, 0.5 * (chi2 + np.log(p * det / p0)), out=terms.log_weight)
-    np.add(log_m.astype(np.float32), x, out=terms.mean)
-    terms.variance[:] = inverse
-    np.multiply(g[0] + g[1], inverse * inverse, out=terms.noise_variance)
-    terms.log_contact_ratio[:] = nodes.log_contact_ratio
-    np.add(chi2, 2.0 * (log_weight.max(axis=(0, 1)) - log_weight), out=terms.chi2)
-    return packed.reshape(len(packed), -1, len(boxes))
 
 
-@dataclass(frozen=True, slots=True)
-class LogGrid:
+def _single(values: FloatArray) -> Floats32:
+    """(..., 1) values in single precision, the same for all yaw bins."""
+    return values.astype(np.float32)[..., None]
+
+
+class LogGrid(NamedTuple):
     """Densities of the log distance of N boxes on grids of G points."""
 
     log_m: FloatArray  # (N, G) grid points, evenly spaced per box
-    density: FloatArray  # (N, G) density, scaled to the maximum 1 per box
-    by_term: _Float32  # (K, N, G) densities of the Gaussians by size, without further evidence
+    density: FloatArray  # (N, G) density
+    by_term: Floats32  # (T, N, G) densities of the Gaussians by size, without further evidence
 
     def times(self, likelihood: FloatArray) -> LogGrid:
         """The product with the likelihood (N, G) of further evidence."""
-        density = self.density * likelihood
-        density /= np.maximum(density.max(axis=1, keepdims=True), 1e-300)
-        return LogGrid(self.log_m, density, self.by_term)
+        return self._replace(density=self.density * likelihood)
 
-    def quantiles(self, levels: FloatArray, *, is_relative: bool = False) -> FloatArray:
-        """(L, N) log distance at the quantiles `levels` (L,), 0..1, of the density, or of density /
-        d.
-        """
+    def quantiles(self, levels: FloatArray) -> FloatArray:
+        """(L, N) log distance at the quantiles `levels` (L,), 0..1, of the density."""
+        place = _quantile_places(self.density, levels)
+        return np.asarray((self.log_m[:, :1] + place * self._step).T)
+
+    def quantiles_and_relative(self, levels: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(L, N) quantiles of the density, and of density / d."""
         first = self.log_m[:, :1]
-        weight = self.density * np.exp(first - self.log_m) if is_relative else self.density
-        cumulative = weight @ _TRAPEZOIDS
-        n, n_grid = cumulative.shape
-        target = cumulative[:, -1:] * levels
-        before = np.maximum((cumulative[:, None] >= target[:, :, None]).argmax(axis=2) - 1, 0)
-        index = before + np.arange(0, n * n_grid, n_grid)[:, None]
-        low, high = cumulative.take(index), cumulative.take(index + 1)
-        fraction = (target - low) / np.maximum(high - low, 1e-300)
-        return np.asarray((first + (before + fraction) * (self.log_m[:, 1:2] - first)).T)
+        both = np.empty((2, *self.density.shape))
+        both[0] = self.density
+        np.multiply(self.density, np.exp(first - self.log_m), out=both[1])
+        place = _quantile_places(both.reshape(-1, both.shape[2]), levels)
+        log_m = first + place.reshape(2, -1, len(levels)) * self._step
+        return log_m[0].T, log_m[1].T
+
+    @property
+    def _step(self) -> FloatArray:
+        """(N, 1) distance of two grid points."""
+        return self.log_m[:, 1:2] - self.log_m[:, :1]
+
+
+def _quantile_places(density: FloatArray, levels: FloatArray) -> FloatArray:
+    """(N, L) places of quantiles of densities (N, G), in grid points from the first one."""
+    cumulative = density @ _TRAPEZOIDS
+    n, n_grid = cumulative.shape
+    target = cumulative[:, -1:] * levels
+    before = (cumulative[:, None] >= target[:, :, None]).argmax(axis=2) - 1
+    np.maximum(before, 0, out=before)
+    index = before + np.arange(0, n * n_grid, n_grid)[:, None]
+    low, high = cumulative.take(index), cumulative.take(index + 1)
+    return np.asarray(before + (target - low) / np.maximum(high - low, 1e-300))
 
 
 def on_grid(mixture: SizeMixture) -> LogGrid:
@@ -227,8 +257,7 @@ def on_grid(mixture: SizeMixture) -> LogGrid:
     terms *= (-0.5 / mixture.variance.T).astype(np.float32)[:, :, None]
     np.exp(terms, out=terms)
     terms *= peak.T.astype(np.float32)[:, :, None]
-    density = terms.sum(axis=0).astype(np.float64)
-    density /= density.max(axis=1, keepdims=True)
+    density = np.add.reduce(terms, axis=0).astype(np.float64)
     return LogGrid(log_m, density, terms)
 
 

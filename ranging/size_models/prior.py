@@ -36,9 +36,9 @@ _LOG_STEP = 0.1  # spacing of the nodes in log distance
 # log distance of the nodes, from 4 to 250 m
 _LOG_M = np.arange(np.log(4.0), np.log(250.0), _LOG_STEP)
 NODE_RANGE = float(_LOG_M[0]), float(_LOG_M[-1])  # smallest and largest log distance of the nodes
-_N_NODE_VALUES = 11  # number of values per node, in the order given by `Nodes`
+_N_NODE_VALUES = 10  # number of values per node, in the order given by `Nodes`
 _SIZE_STEP = 0.02  # step of the numerical derivatives in log size
-_Float32 = npt.NDArray[np.float32]
+Floats32 = npt.NDArray[np.float32]
 _Log = Annotated[Number, Field(ge=-100, le=100)]  # logarithm in a file; larger values overflow
 
 _Correlation = Annotated[Number, Field(ge=-1, le=1)]
@@ -119,20 +119,18 @@ class SizePrior(BodySizes):
 
 
 class Nodes(NamedTuple):
-    """Values at the nodes nearest to N boxes, for K yaw bins and M body types each.
+    """Values at the nodes nearest to N boxes, for M body types and K yaw bins each.
 
-    The tables hold the 11 values of a node side by side, in this order, so that one look-up reads
-    them all.
+    The tables hold the 10 values of a node in this order, so that one look-up reads them all.
     """
 
-    log_hw: _Float32  # (2, K, M, N) log height and log width
-    per_log_m: _Float32  # (2, K, M, N) their slopes in log distance
-    per_bearing: _Float32  # (2, K, M, N) their slopes in bearing
-    variance: _Float32  # (2, K, M, N) their variances, from sizes and scatter
-    covariance: _Float32  # (K, M, N) their covariance
-    # (K, M, N) log of the distance divided by the nearest ground point's
-    log_contact_ratio: _Float32
-    log_weight: _Float32  # (K, M, N) log weight of the yaw bin
+    # (2, 2, N, M, K) slopes in log distance of log height and log width, then these
+    slopes_and_sizes: Floats32
+    per_bearing: Floats32  # (2, N, M, K) slopes in bearing of log height and log width
+    variance: Floats32  # (2, N, M, K) their variances, from sizes and scatter
+    covariance: Floats32  # (N, M, K) their covariance
+    # (N, M, K) log of the distance divided by the nearest ground point's
+    log_contact_ratio: Floats32
 
 
 class ShapeTables:
@@ -148,12 +146,10 @@ class ShapeTables:
         self.class_name = tuple(name for name, *_ in types)  # (B,) class of each body type
         # (B,) probability within the class
         self.fraction = np.array([fraction for _, _, fraction, _ in types])
-        self._nodes = np.concatenate(
-            [
-                _nodes(prior, sizes).reshape(len(_BEARINGS) * len(_LOG_M), -1)
-                for _, prior, _, sizes in types
-            ]
-        )
+        # (10, nodes of all body types, K), so that the values of a node lie side by side
+        self._nodes = np.concatenate([_nodes(prior, sizes) for _, prior, _, sizes in types], axis=1)
+        # (B, K) log weights of the yaw bins
+        self.log_weight = np.array([_log_weight(prior) for _, prior, _, _ in types], np.float32)
         self.typical = np.array(  # (3, B) log height, and mean and 1 / variance of log distance
             [
                 (np.log(sizes.hwl_m[0]), p.log_distance[0], p.log_distance[1] ** -2)
@@ -164,24 +160,25 @@ class ShapeTables:
     def at(
         self, body: IntArray, bearing: FloatArray, log_m: FloatArray
     ) -> tuple[FloatArray, FloatArray, Nodes]:
-        """Bearing (N,) and log distance (M, N) of N boxes of M body types relative to the nearest
+        """Bearing (N,) and log distance (N, M) of N boxes of M body types relative to the nearest
         nodes, and the nodes.
 
-        `bearing` (N,) is |tan bearing|, `log_m` (M, N) within `NODE_RANGE`.
+        `body` (N, M) are the types, `bearing` (N,) is |tan bearing|, `log_m` (N, M) within
+        `NODE_RANGE`.
         """
         b = np.minimum((bearing / _BEARING_STEP + 0.5).astype(np.int64), len(_BEARINGS) - 1)
         d = ((log_m - _LOG_M[0]) / _LOG_STEP + 0.5).astype(np.int64)
         bearing_step = np.minimum(bearing - b * _BEARING_STEP, _BEARING_STEP)
-        nodes = self._nodes.take((body * len(_BEARINGS) + b) * len(_LOG_M) + d, axis=0)
-        nodes = np.ascontiguousarray(nodes.reshape(log_m.size, -1).T)
-        v = nodes.reshape(_N_NODE_VALUES, len(_YAW_RAD), *log_m.shape)
-        return bearing_step, log_m - _LOG_M[d], Nodes(v[:2], v[2:4], v[4:6], v[6:8], *v[8:])
+        node = (body * len(_BEARINGS) + b[:, None]) * len(_LOG_M) + d
+        v = self._nodes.take(node, axis=1)
+        both = v[:4].reshape(2, 2, *v.shape[1:])
+        return bearing_step, log_m - _LOG_M[d], Nodes(both, v[4:6], v[6:8], *v[8:])
 
 
 @lru_cache(maxsize=4 * len(SIZE_CLASSES))
-def _nodes(prior: SizePrior, sizes: BodySizes) -> Floats:
-    """(bearings, distances, 11, yaw bins) node values of one body type; read-only, since equal
-    priors share them.
+def _nodes(prior: SizePrior, sizes: BodySizes) -> Floats32:
+    """(10, bearings x distances, yaw bins) node values of one body type, in single precision;
+    read-only, since equal priors share them.
     """
     bearing, log_m, yaw = (axis.astype(np.float32) for axis in np.ix_(_BEARINGS, _LOG_M, _YAW_RAD))
     box_for = partial(
@@ -214,15 +211,20 @@ def _nodes(prior: SizePrior, sizes: BodySizes) -> Floats:
         np.gradient(value, step, axis=axis) for axis, step in ((2, _LOG_STEP), (1, _BEARING_STEP))
     ]
     value += np.array(prior.offset, np.float32)[:, None, None, None]
-    turn_weights = np.array(prior.turn_weights)
-    # of each yaw bin: the weights are for both sides together
-    half = turn_weights / turn_weights.sum()
-    half[1:-1] /= 2
-    weight = np.broadcast_to(np.log(np.maximum(np.concatenate([half, half[1:-1]]), 1e-9)), a.shape)
-    rest = np.stack([a, c, b, typical.log_inverse_depth + log_m, weight])
-    nodes = np.concatenate([value, *slopes, rest]).transpose(1, 2, 0, 3)
+    per_log_m, per_bearing = slopes
+    rest = np.stack([a, c, b, typical.log_inverse_depth + log_m])
+    nodes = np.concatenate([per_log_m, value, per_bearing, rest]).astype(np.float32)
+    nodes = nodes.reshape(_N_NODE_VALUES, -1, len(_YAW_RAD))
     nodes.setflags(write=False)
     return nodes
+
+
+def _log_weight(prior: SizePrior) -> FloatArray:
+    """(K,) log weights of the yaw bins; those of a prior are for both sides together."""
+    turn_weights = np.array(prior.turn_weights)
+    half = turn_weights / turn_weights.sum()
+    half[1:-1] /= 2
+    return np.asarray(np.log(np.maximum(np.concatenate([half, half[1:-1]]), 1e-9)))
 
 
 def _log_size(box: CuboidBox) -> Floats:

@@ -16,7 +16,7 @@ were seen earlier in the drive (`DriveState`), between which the pitch has chang
 """
 
 from dataclasses import dataclass
-from typing import Annotated, TypeVar
+from typing import Annotated, NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -67,8 +67,7 @@ class GroundPrior:
         return np.asarray((self.roll_sigma * bearing) ** 2 + by_bend * by_bend)
 
 
-@dataclass(frozen=True, slots=True)
-class GroundContacts:
+class GroundContacts(NamedTuple):
     """Contact points of the objects of a frame, (N,) each."""
 
     bottom: FloatArray  # tangent y of the bottom edge below the camera's axis
@@ -79,8 +78,7 @@ class GroundContacts:
     is_on_ground: BoolArray  # whether the object is on the ground and its bottom edge is visible
 
 
-@dataclass(frozen=True, slots=True)
-class GroundFromOthers:
+class GroundFromOthers(NamedTuple):
     """Ground plane at each object, estimated from the other objects, (N,) each."""
 
     horizon: FloatArray  # tangent y0 of the horizon below the camera's axis
@@ -99,39 +97,44 @@ def ground_from_others(
     `drive` is the state from the objects seen before; None = only this frame is known.
     """
     drive = drive or DriveState()
-    x, y = contacts.inverse_depth, contacts.bottom
+    x, y, is_on_ground = contacts.inverse_depth, contacts.bottom, contacts.is_on_ground
     # terms of the normal equations for (y0, H)
     basis = np.array([np.ones_like(x), x, x * x, y, x * y])
-    rough = (prior.kerb_m[0] * x) ** 2 + prior.rough_variance(x, contacts.bearing)
-    other = contacts.edge_sigma**2 + (prior.camera_height_m * x * contacts.sigma) ** 2
+    of_kerb, of_size = prior.kerb_m[0] * x, prior.camera_height_m * x * contacts.sigma
+    rough = of_kerb * of_kerb + prior.rough_variance(x, contacts.bearing)
+    other = contacts.edge_sigma * contacts.edge_sigma + of_size * of_size
     R = drive.roughness * rough + other
-    information = contacts.is_on_ground / R
+    information = is_on_ground / R
     y0, H, plane_variance = prior.horizon, prior.camera_height_m, np.asarray(prior.horizon_sigma**2)
     for _ in range(_N_ITERATIONS):
-        residual2 = (y - y0 - H * x) ** 2
-        robust = 1.0 / (1.0 + residual2 / (_CAUCHY_SIGMA**2 * (R + plane_variance)))
+        residual = y - (y0 + H * x)
+        spread = _CAUCHY_SIGMA**2 * (R + plane_variance)
+        robust = spread / (spread + residual * residual)
         weight = information * robust
-        terms = _prior_information(prior, y0, drive) + basis @ weight
-        y0, H, y0_variance, covariance, H_variance = solve_ground(*terms.tolist())
+        of_frame = (basis @ weight).tolist()
+        before = _prior_information(prior, y0, drive)
+        terms = [a + b for a, b in zip(before, of_frame, strict=True)]
+        y0, H, y0_variance, covariance, H_variance = solve_ground(*terms)
         plane_variance = y0_variance + x * (2 * covariance + x * H_variance)
-    horizon, height_m, *P = solve_ground(*(terms[:, None] - basis * weight))
+    horizon, height_m, *P = solve_ground(*(np.array(terms)[:, None] - basis * weight))
     variance = P[0] + x * (2 * P[1] + x * P[2])
     # True for the only object on the ground; for all objects if there is none.
-    is_prior_only = contacts.is_on_ground == np.count_nonzero(contacts.is_on_ground)
-    is_prior_only &= drive.information[0] <= 0.0
+    has_no_other = is_on_ground == np.count_nonzero(is_on_ground)
+    residual = y - (y0 + H * x)
     pitch_variance = drive.roughness * prior.pitch_sigma**2
     measured = GroundTerms(
-        normal=basis * (contacts.is_on_ground * robust / (R + pitch_variance)),
-        residual2=(y - y0 - H * x) ** 2,
+        normal=basis * (is_on_ground * robust / (R + pitch_variance)),
+        residual2=residual * residual,
         rough=rough,
         other=other + plane_variance,
-        is_on_ground=contacts.is_on_ground,
+        is_on_ground=is_on_ground,
     )
+    is_prior_only = has_no_other & (drive.information[0] <= 0.0)
     return GroundFromOthers(horizon, height_m, variance, is_prior_only, measured)
 
 
-def _prior_information(prior: GroundPrior, y0: float, drive: DriveState) -> FloatArray:
-    """(5,) terms (a, b, c, u, v) of `solve_ground` before the frame: of the prior and the earlier
+def _prior_information(prior: GroundPrior, y0: float, drive: DriveState) -> tuple[float, ...]:
+    """Terms (a, b, c, u, v) of `solve_ground` before the frame: of the prior and the earlier
     objects of the drive.
 
     The prior's variance of y0 is the variance of Student's t at `y0`. The pitch changes after the
@@ -139,16 +142,15 @@ def _prior_information(prior: GroundPrior, y0: float, drive: DriveState) -> Floa
     """
     scale = (2.0 + ((y0 - prior.horizon) / prior.horizon_sigma) ** 2) / 3.0
     of_y0, of_H = 1.0 / (prior.horizon_sigma**2 * scale), prior.camera_height_sigma_m**-2
-    terms = np.array([of_y0, 0.0, of_H, of_y0 * prior.horizon, of_H * prior.camera_height_m])
+    terms = (of_y0, 0.0, of_H, of_y0 * prior.horizon, of_H * prior.camera_height_m)
     if drive.information[0] <= 0.0:
         return terms
-    mean_y0, mean_H, y0_variance, covariance, H_variance = solve_ground(
-        *(terms + drive.information).tolist()
-    )
+    known = [a + b for a, b in zip(terms, drive.information.tolist(), strict=True)]
+    mean_y0, mean_H, y0_variance, covariance, H_variance = solve_ground(*known)
     y0_variance += drive.roughness * prior.pitch_sigma**2
     scale = 1.0 / (y0_variance * H_variance - covariance**2)
     a, b, c = H_variance * scale, -covariance * scale, y0_variance * scale
-    return np.array([a, b, c, a * mean_y0 + b * mean_H, b * mean_y0 + c * mean_H])
+    return a, b, c, a * mean_y0 + b * mean_H, b * mean_y0 + c * mean_H
 
 
 def solve_ground(

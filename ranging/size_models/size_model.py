@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
 from pydantic import AfterValidator, Field
@@ -52,8 +52,7 @@ _N_GROUND, _N_VIEWS, _TIME, _WEIGHT, _SIZE, _BODIES = range(_N_MEANS, _N_MEANS +
 weight of the mean log size and this mean; then the mean log likelihoods of the body types."""
 
 
-@dataclass(frozen=True, slots=True)
-class GroundTerms:
+class GroundTerms(NamedTuple):
     """Measurements of the ground plane by the N objects of a frame."""
 
     # (5, N) terms of the normal equations for (y0, H) (`shared_ground.solve_ground`)
@@ -86,8 +85,8 @@ class DriveState:
         self._in_view = self._tracks.get(track_id)
         known, has_left = self._tracks.known, self._tracks.is_absent(track_id)
         means = known[:_N_MEANS] * np.exp((known[_TIME] - time_s) / _MEMORY_S)
-        self.information = means[:5, has_left].sum(axis=1)
-        excess, expected = means[5:].sum(axis=1).tolist()
+        self.information = np.add.reduce(means[:5, has_left], axis=1)
+        excess, expected = np.add.reduce(means[5:], axis=1).tolist()
         low, high = _ROUGHNESS_RANGE
         self.roughness = min(
             max((_ROUGHNESS_OBJECTS + excess) / (_ROUGHNESS_OBJECTS + expected), low), high
@@ -126,8 +125,10 @@ class DriveState:
             expected = ground.other + self.roughness * ground.rough
             gain = ground.rough / expected**2
             excess = np.minimum(ground.residual2, _MAX_CHI2 * expected) - ground.other
-            means = np.concatenate([ground.normal, [gain * excess, gain * ground.rough]])
-            state[:_N_MEANS] += fraction * (means - state[:_N_MEANS])
+            means = state[:_N_MEANS]
+            means[:5] += fraction * (ground.normal - means[:5])
+            means[5] += fraction * (gain * excess - means[5])
+            means[6] += fraction * (gain * ground.rough - means[6])
         forgetting = np.exp((state[_TIME] - self._time_s) / _SIZE_MEMORY_S)
         state[_WEIGHT] = 1.0 / variance + forgetting * state[_WEIGHT]
         state[_SIZE] += (log_size - state[_SIZE]) / (variance * state[_WEIGHT])
@@ -176,13 +177,14 @@ def have_hidden_sides(xyxy_px: FloatArray) -> BoolArray:
     Boxes that end lower in the image are nearer. Boxes that hide a side cover its lower half, where
     objects are widest.
     """
-    x1, y1, x2, y2 = xyxy_px.T[:, :, None]
     left, top, right, bottom = xyxy_px.T
-    abuts_px = _ABUTS_PX + _ABUTS_FRACTION * (y2 - y1)
-    hides = ((left < x1 + abuts_px) & (right > x1 - abuts_px)) | (
-        (left < x2 + abuts_px) & (right > x2 - abuts_px)
-    )
-    return np.asarray((hides & (bottom > y2) & (top < (y1 + y2) / 2)).any(axis=1))
+    abuts_px = _ABUTS_PX + _ABUTS_FRACTION * (bottom - top)
+    sides_px = xyxy_px.T[::2]
+    # (2, N, N) by side, box and other box
+    hides = left < (sides_px + abuts_px)[:, :, None]
+    hides &= right > (sides_px - abuts_px)[:, :, None]
+    hides &= (bottom > bottom[:, None]) & (top < ((top + bottom) / 2)[:, None])
+    return np.asarray(np.logical_or.reduce(hides, axis=(0, 2)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,15 +287,20 @@ def measured_boxes(
     """
     focal_px = np.array([camera.fx_px, camera.fy_px])
     error = errors[size_class]
-    size_px = (xyxy_px[:, 2:] - xyxy_px[:, :2]) * np.exp(-error[:, 0])
+    low_px, high_px = xyxy_px[:, :2], xyxy_px[:, 2:]
+    size_px = (high_px - low_px) * np.exp(-error[:, 0])
+    # of the point at the bottom of the box, in its middle
+    point_px = low_px + high_px
+    point_px[:, 1] += size_px[:, 1]
+    bearing, bottom = ((point_px / 2 - (camera.cx_px, camera.cy_px)) / focal_px).T
     uses_width, uses_bottom = uses_width_bottom or (
         np.ones(len(xyxy_px), np.bool_),
         np.ones(len(xyxy_px), np.bool_),
     )
     return BoxExtents(
         wh_over_f=size_px / focal_px,
-        bearing=((xyxy_px[:, 0] + xyxy_px[:, 2]) / 2 - camera.cx_px) / camera.fx_px,
-        bottom=((xyxy_px[:, 1] + xyxy_px[:, 3] + size_px[:, 1]) / 2 - camera.cy_px) / camera.fy_px,
+        bearing=bearing,
+        bottom=bottom,
         size_class=size_class,
         uses_width=uses_width,
         uses_bottom=uses_bottom,
@@ -302,8 +309,7 @@ def measured_boxes(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class SizeRanges:
+class SizeRanges(NamedTuple):
     """Distances by size, (N,) each; NaN = the class has no size model."""
 
     distance_m: FloatArray  # z of the visible surface

@@ -110,8 +110,9 @@ def test_tables_interpolate_the_geometry():
     tables = ShapeTables({"car": prior})
     rng = np.random.default_rng(1)
     bearing, log_m = rng.uniform(0, 0.6, 50), rng.uniform(np.log(8), np.log(90), 50)
-    off, step, nodes = tables.at(np.zeros(50, np.int64), bearing, log_m)
-    seen = nodes.log_hw[0] + step * nodes.per_log_m[0] + off * nodes.per_bearing[0]
+    off, step, nodes = tables.at(np.zeros((50, 1), np.int64), bearing, log_m[:, None])
+    (per_log_m, _), (log_height, _) = nodes.slopes_and_sizes[..., 0, :]
+    seen = log_height + step * per_log_m + off[:, None] * nodes.per_bearing[0, :, 0]
     for k, turn in enumerate(np.radians(YAW_DEG)):
         box = box_of_cuboid(
             np.log(prior.hwl_m),
@@ -120,10 +121,9 @@ def test_tables_interpolate_the_geometry():
             distance_m=np.exp(log_m),
             camera_height_m=1.65,
         )
-        np.testing.assert_allclose(seen[k], box.log_height, atol=0.02)
-        np.testing.assert_allclose(
-            nodes.log_contact_ratio[k] - log_m, box.log_inverse_depth, atol=0.1
-        )
+        np.testing.assert_allclose(seen[:, k], box.log_height, atol=0.02)
+        contact = nodes.log_contact_ratio[:, 0, k]
+        np.testing.assert_allclose(contact - log_m, box.log_inverse_depth, atol=0.1)
 
 
 @pytest.fixture(scope="module")
