@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 
+from track_range.foundation.background import Background, InThreads
 from track_range.ranging.cameras.evidence import Evidence, SeenFrame
 from track_range.ranging.cameras.unknowns import Unknown
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -24,11 +25,12 @@ _MAX_SIGMA, _SHARED_SIGMA = 0.1, 0.015
 class MotionEvidence:
     """Focal length by corners of the static scene, measured in the first turns of a drive.
 
-    Corners are tracked during turns only. Their bundle adjustment runs in a thread; its result is
-    used at a fixed time, so that runs are reproducible.
+    Corners are tracked during turns only. Their bundle adjustment runs in the background; its
+    result is used at a fixed time, so that runs are reproducible, or later.
     """
 
-    def __init__(self, camera: PinholeCamera) -> None:
+    def __init__(self, camera: PinholeCamera, background: Background | None = None) -> None:
+        self._background = background or InThreads()
         self._camera, self._n_left = camera, _N_TURNS
         self._corners, self._points = CornerTracks(camera.size_px), list[KeyPoints]()
         self._turn_rad = 0.0
@@ -40,7 +42,8 @@ class MotionEvidence:
     def add(self, seen: SeenFrame) -> None:
         """Add a frame."""
         if self._future is not None:
-            if seen.time_s >= self._last_s + _DELAY_S:
+            is_due = seen.time_s >= self._last_s + _DELAY_S
+            if is_due and self._background.is_ready(self._future):
                 self._use(self._future.result())
                 self._future = None
             return
@@ -72,9 +75,7 @@ class MotionEvidence:
         """Measure the turn, if it is large enough, and wait for the next one."""
         if abs(self._turn_rad) >= _MIN_TURN_RAD:
             self._n_left -= 1
-            thread = ThreadPoolExecutor(1, thread_name_prefix="turn")
-            self._future = thread.submit(_estimate, self._camera, tuple(self._points))
-            thread.shutdown(wait=False)
+            self._future = self._background.submit(_estimate, self._camera, tuple(self._points))
         self._corners, self._points = CornerTracks(self._camera.size_px), []
         self._turn_rad = 0.0
 

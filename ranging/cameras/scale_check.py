@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from track_range.foundation.background import Background
 from track_range.ranging.cameras.causes import SHOWN_SIGMA, Agreement, ScaleDoubt
 from track_range.ranging.cameras.evidence import Evidence, EvidenceSource, SeenFrame
 from track_range.ranging.cameras.known_distances import KnownDistances
@@ -77,6 +78,7 @@ class ScaleCheck:
         sizes: SizeModel | None = None,
         road_height_m: float = USUAL_HEIGHT_M,
         learns_focal: bool = False,
+        background: Background | None = None,
     ) -> None:
         """Start without evidence, for the (left) camera, or the rig of a pair, with what is known
         of it.
@@ -84,7 +86,8 @@ class ScaleCheck:
         `road_height_m` is the height with which the motion of the road is measured; `sizes` have
         the shapes of vehicles, which measure a focal length that is well known. Without the usual
         width of the lane, lane lines are not used. With `learns_focal`, an unknown focal length is
-        estimated from the drive, and corrects its distances.
+        estimated from the drive, and corrects its distances, by calls in the `background`; None =
+        in threads, with waiting.
         """
         self.priors = priors
         is_unknown = priors[Unknown.FOCAL].kind == "unknown"
@@ -97,9 +100,9 @@ class ScaleCheck:
         if lane is not None:
             sources.append(LaneEvidence(camera, lane, height_m))
         if self._focal is not None or priors[Unknown.FOCAL].kind == "given":
-            sources.append(MotionEvidence(camera))
+            sources.append(MotionEvidence(camera, background))
             if isinstance(sizes, CuboidSizes):
-                sources.append(ShapeEvidence(camera, sizes))
+                sources.append(ShapeEvidence(camera, sizes, background))
         self._sources = sources
         self._known = KnownDistances(())
         self._evidence_names = ""  # of the latest evaluation

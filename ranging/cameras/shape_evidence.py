@@ -1,10 +1,11 @@
 """Evidence of the focal length by the shapes of vehicles."""
 
 import math
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 
 import numpy as np
 
+from track_range.foundation.background import Background, InThreads
 from track_range.ranging.cameras.evidence import Evidence, SeenFrame
 from track_range.ranging.cameras.focal_evidence import VehicleShapes, vehicle_shapes
 from track_range.ranging.cameras.measurements import SceneBoxes, unhidden
@@ -23,11 +24,14 @@ class ShapeEvidence:
     """Focal length by the shapes of vehicles (`focal_evidence`), measured at a few moments of a
     drive.
 
-    A measurement takes about 0.7 s, in a thread; its result is used at a fixed time, so that runs
-    are reproducible.
+    A measurement takes about 0.7 s, in the background; its result is used at a fixed time, so
+    that runs are reproducible, or later.
     """
 
-    def __init__(self, camera: PinholeCamera, sizes: CuboidSizes) -> None:
+    def __init__(
+        self, camera: PinholeCamera, sizes: CuboidSizes, background: Background | None = None
+    ) -> None:
+        self._background = background or InThreads()
         self._camera, self._sizes = camera, sizes
         self._views: list[SceneBoxes] = []
         self._view_due_s, self._times_s, self._first_s = -math.inf, list(_TIMES_S), math.nan
@@ -43,6 +47,8 @@ class ShapeEvidence:
             return
         due_s = self._first_s + self._times_s[0]
         if self._future is not None and time_s >= due_s + _DELAY_S:
+            if not self._background.is_ready(self._future):
+                return
             shapes, self._future = self._future.result(), None
             del self._times_s[0]
             focal_px, sigma = shapes.curve.estimate
@@ -58,6 +64,6 @@ class ShapeEvidence:
             )
         if self._future is None and time_s >= due_s:
             boxes = SceneBoxes.joined(self._views)
-            thread = ThreadPoolExecutor(1, thread_name_prefix="shapes")
-            self._future = thread.submit(vehicle_shapes, boxes, self._camera.size_px, self._sizes)
-            thread.shutdown(wait=False)
+            self._future = self._background.submit(
+                vehicle_shapes, boxes, self._camera.size_px, self._sizes
+            )

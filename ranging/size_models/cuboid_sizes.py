@@ -25,7 +25,7 @@ from track_range.ranging.size_models.posterior import (
     mixture_by_size,
     on_grid,
 )
-from track_range.ranging.size_models.prior import ShapeTables, SizePrior
+from track_range.ranging.size_models.prior import ShapeTables, SizePrior, shape_tables
 from track_range.ranging.size_models.shared_ground import (
     GroundContacts,
     GroundPrior,
@@ -101,7 +101,7 @@ class CuboidSizes:
     @cached_property
     def _tables(self) -> ShapeTables:
         # when they are needed: priors of another region are often made from these
-        return ShapeTables(self.priors)
+        return shape_tables(tuple(self.priors.items()))
 
     @cached_property
     def _n_bodies(self) -> IntArray:

@@ -175,6 +175,12 @@ class ShapeTables:
         return bearing_step, log_m - _LOG_M[d], Nodes(both, v[4:6], v[6:8], *v[8:])
 
 
+@lru_cache(maxsize=4)
+def shape_tables(priors: tuple[tuple[str, SizePrior], ...]) -> ShapeTables:
+    """The tables of the classes, by name and prior, which equal priors share."""
+    return ShapeTables(dict(priors))
+
+
 @lru_cache(maxsize=4 * len(SIZE_CLASSES))
 def _nodes(prior: SizePrior, sizes: BodySizes) -> Floats32:
     """(10, bearings x distances, yaw bins) node values of one body type, in single precision;

@@ -1,7 +1,9 @@
 """Frame: the image of one camera, or of two synchronised cameras, at one time."""
 
+from __future__ import annotations
+
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Protocol
 
 import cv2
@@ -52,6 +54,12 @@ class Frame:
     recorded: Image | None = None
     # correction of the disparities of these images, as known at their time; None = that of the rig
     alignment: Alignment | None = None
+
+    def __reduce__(self) -> tuple[type[Frame], tuple[object, ...]]:
+        """Pickled with all of its right image."""
+        values = [getattr(self, field.name) for field in fields(self)]
+        right = None if self.right is None else whole_image(self.right)
+        return Frame, (*values[:3], right, *values[4:])
 
     def __repr__(self) -> str:
         height, width = self.left.shape[:2]

@@ -34,6 +34,7 @@ from track_range.foundation.arrays import (
     IntArray,
     check_shape,
 )
+from track_range.foundation.background import Background
 from track_range.foundation.robust_statistics import median_of
 from track_range.foundation.sparse_flow import (
     BackgroundFlow,
@@ -170,6 +171,7 @@ class StereoOdometry:
         alignment: Alignment | None = None,
         *,
         flow: BackgroundFlow | None = None,
+        background: Background | None = None,
     ) -> None:
         if not rig.is_rectified:
             raise ValueError("rig: expected a rectified pair")
@@ -185,7 +187,7 @@ class StereoOdometry:
         self._coarse.setTextureThreshold(5)
         self._coarse.setUniquenessRatio(5)
         self._before: _View | None = None
-        self._right, self._realignment = RightCameraMonitor(rig), Realignment(rig)
+        self._right, self._realignment = RightCameraMonitor(rig), Realignment(rig, background)
         self._vibration = Vibration()
         self._focal_factor, self._zoomed_s = 1.0, math.nan
         self._filter = SpeedFilter()

@@ -11,15 +11,17 @@ On simulated drives the monitor follows a yaw of 0.7 degrees (8 px) with a sigma
 from __future__ import annotations
 
 import math
+from concurrent.futures import Future
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.background import Background, InThreads, Kept
 from track_range.stereo.alignment.from_drive import MIN_STEP_S, DriveAlignment
 from track_range.stereo.alignment.pair_evidence import PairEvidence
-from track_range.stereo.alignment.pair_finding import find_fault
+from track_range.stereo.alignment.pair_finding import PairFinding, find_fault
 from track_range.stereo.alignment.right_view import RightView
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame, whole_image
@@ -43,16 +45,46 @@ class Realigned(NamedTuple):
     alignment: Alignment  # of the images corrected by it
 
 
+class _Lost(NamedTuple):
+    """The evidence of a lost pair after a frame."""
+
+    n_pairs: int
+    is_moving: bool
+    finding: PairFinding | None  # None = not enough pairs in motion
+
+
+def _lost(evidence: PairEvidence, frame: Frame, rig: StereoRig) -> _Lost:
+    """Add a frame with a right image, and explain the pairs so far if they are enough."""
+    if frame.right is not None:
+        evidence.add(frame.left, whole_image(frame.right))
+    is_moving = evidence.flow_px >= _MIN_FLOW_PX
+    is_enough = evidence.n_pairs >= _N_PAIRS and is_moving
+    finding = find_fault(evidence.figures(), rig) if is_enough else None
+    return _Lost(evidence.n_pairs, is_moving, finding)
+
+
+def _aligned(drive: DriveAlignment, frame: Frame) -> Alignment | None:
+    """Add a frame; the alignment if it is complete."""
+    drive.add(frame)
+    return drive.estimate() if drive.has_segments or drive.is_full else None
+
+
 class Realignment:
     """Aligns the frames of one stream again, when its right camera moved far."""
 
-    def __init__(self, rig: StereoRig) -> None:
-        self._rig = rig
+    def __init__(self, rig: StereoRig, background: Background | None = None) -> None:
+        """Start with a pair that matches; pairs are explained and aligned in the `background`, None
+        = in threads, with waiting.
+        """
+        self._rig, self._background = rig, background or InThreads()
         # times at which left and right were lost first, and found last
         self._lost_s = self._until_s = math.nan
-        self._evidence: PairEvidence | None = None  # None = they match
+        self._evidence: Kept[PairEvidence] | None = None  # None = they match
         self._next_s = -math.inf  # time of its next pair
-        self._drive: DriveAlignment | None = None
+        self._drive: Kept[DriveAlignment] | None = None
+        # what the background makes of the last frame that it got; None = it has none
+        self._rough: Future[_Lost] | None = None
+        self._aligned: Future[Alignment | None] | None = None
         self._camera = RightCamera(rig.left)  # corrects the images of the drive
 
     @property
@@ -87,7 +119,8 @@ class Realignment:
         """
         are_missing = n_static >= _MIN_STATIC and n_shown < _MIN_SHOWN * n_static
         if are_missing and not (right.is_hit or self.is_lost):
-            self._drive, self._evidence = None, PairEvidence(self._rig.left)
+            self._drive = self._aligned = None
+            self._look()
             self._lost_s = time_s if math.isnan(self._lost_s) else self._lost_s
 
     def update(self, frame: Frame, right: RightCamera) -> Realigned | None:
@@ -95,46 +128,53 @@ class Realignment:
         by this frame.
         """
         if self._evidence is not None:
-            return self._rough(self._evidence, frame)
+            return self._explained(self._evidence, frame)
         if self._drive is None and abs(right.applied_px[OFFSET]) > _FAR_PX:
             self._begin(right.matrix)
         return None if self._drive is None else self._estimated(self._drive, frame)
 
+    def _look(self) -> None:
+        """Look for a rough correction of a lost pair."""
+        self._evidence = self._background.keep(PairEvidence, self._rig.left)
+        self._rough = None
+
     def _begin(self, base: FloatArray) -> None:
         """Estimate the alignment of the next frames, corrected by `base`."""
         self._camera = RightCamera(self._rig.left, base=base)
-        self._drive = DriveAlignment(self._rig, None, "the frames after a movement")
+        name = "the frames after a movement"
+        self._drive = self._background.keep(DriveAlignment, self._rig, None, name)
+        self._aligned = None
 
-    def _rough(self, evidence: PairEvidence, frame: Frame) -> Realigned | None:
+    def _explained(self, evidence: Kept[PairEvidence], frame: Frame) -> Realigned | None:
         """The rough correction of a lost pair."""
-        if frame.right is None or frame.time_s < self._next_s:
+        if self._rough is None and frame.right is not None and frame.time_s >= self._next_s:
+            self._rough = evidence.call(_lost, frame, self._rig)
+        if self._rough is None or not self._background.is_ready(self._rough):
             return None
-        evidence.add(frame.left, whole_image(frame.right))
-        is_moving = evidence.flow_px >= _MIN_FLOW_PX
-        self._next_s = frame.time_s + (MIN_STEP_S if is_moving else _WAIT_AT_REST_S)
-        if evidence.n_pairs >= _MAX_PAIRS:
-            self._evidence = PairEvidence(self._rig.left)
-        if evidence.n_pairs < _N_PAIRS or not is_moving:
-            return None
-        finding = find_fault(evidence.figures(), self._rig)
-        if finding.fault not in ("fits", "verged"):
+        lost, self._rough = self._rough.result(), None
+        self._next_s = frame.time_s + (MIN_STEP_S if lost.is_moving else _WAIT_AT_REST_S)
+        if lost.n_pairs >= _MAX_PAIRS:
+            self._look()
+        if lost.finding is None or lost.finding.fault not in ("fits", "verged"):
             return None
         self._evidence, self._until_s = None, frame.time_s
-        prior = finding.prior if finding.needs_correction else self._rig.unaligned
+        prior = lost.finding.prior if lost.finding.needs_correction else self._rig.unaligned
         sigma_px = max(prior.residual_px, _ROUGH_PX)
         rough = replace(prior, residual_px=sigma_px, offset_sigma_px=sigma_px)
         corrected = self._realigned(rough, np.eye(3))
         self._begin(corrected.base)
         return corrected
 
-    def _estimated(self, drive: DriveAlignment, frame: Frame) -> Realigned | None:
+    def _estimated(self, drive: Kept[DriveAlignment], frame: Frame) -> Realigned | None:
         """The estimate from the frames since the movement, if it is complete."""
-        if frame.right is None:
+        if self._aligned is None and frame.right is not None:
+            corrected = replace(frame, right=self._camera.warped(frame.right))
+            self._aligned = drive.call(_aligned, corrected)
+        if self._aligned is None or not self._background.is_ready(self._aligned):
             return None
-        drive.add(replace(frame, right=self._camera.warped(frame.right)))
-        if not (drive.has_segments or drive.is_full):
+        alignment, self._aligned = self._aligned.result(), None
+        if alignment is None:
             return None
-        alignment = drive.estimate()
         if not alignment.is_measured:
             self._begin(self._camera.base)
             return None

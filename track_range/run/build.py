@@ -8,6 +8,7 @@ from functools import partial
 
 from track_range.detection.lanes.nets import open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
+from track_range.foundation.background import Background
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.pipeline.alarming import AlarmStage
@@ -72,12 +73,14 @@ def open_pipeline(
     ego_speed: EgoSpeed | None = None,
     measures_speed: bool = True,
     needs_candidates: bool = False,
+    background: Background | None = None,
 ) -> FramePipeline:
     """The pipeline of the settings, with the methods that the calibration allows.
 
     `tracker` replaces the tracker of the settings. With `measures_speed`, an unknown speed is
     measured from the images where a scale is known; with `needs_candidates`, results have all
-    boxes, for anonymization. CurveError: the size curves cannot be read; ModelError: the
+    boxes, for anonymization. Long estimates are made in the `background`; None = in threads, with
+    waiting. CurveError: the size curves cannot be read; ModelError: the
     re-identification or lane network cannot be used; TrackerError: the tracker cannot be created;
     MethodError: ranging methods of other packages depend on each other in a cycle.
     """
@@ -91,13 +94,19 @@ def open_pipeline(
     priors = _camera_priors(context, calibration)
     camera = calibration.camera
     ego_of = partial(
-        _ego_stage, context, ego_speed, priors, measures_speed=measures_speed, mounting=mounting
+        _ego_stage,
+        context,
+        ego_speed,
+        priors,
+        measures_speed=measures_speed,
+        mounting=mounting,
+        background=background,
     )
     of_scene = partial(
         _stages_of_scene, settings, camera, tracker or tracker_options, ego_of, is_ahead=is_ahead
     )
     first_tracker, ego, alarming = of_scene()
-    check = _scale_check(context, priors, calibration, settings.lane_width_m)
+    check = _scale_check(context, priors, calibration, settings.lane_width_m, background)
     mounted_m, used_m = _mounted_m(mounting, calibration), context.camera_height_m
     return FramePipeline(
         detection=DetectionStage(
@@ -187,12 +196,17 @@ def _ego_stage(
     *,
     measures_speed: bool,
     mounting: Mounting | None,
+    background: Background | None,
 ) -> EgoStage:
     """The sources of the ego motion: a scale has a pair, or a camera by its height above the road,
     which is given, or usual until the drive shows it.
     """
     # also follows the right camera, and checks a given speed
-    pair_odometry = None if context.rig is None else StereoOdometry(context.rig, flow=flow)
+    pair_odometry = (
+        None
+        if context.rig is None
+        else StereoOdometry(context.rig, flow=flow, background=background)
+    )
     axes = None if mounting is None else mounting.travel_from_camera
     uses_pair_speed = measures_speed or ego_speed is not None
     road_height_m = _road_height_m(context)
@@ -240,6 +254,7 @@ def _scale_check(
     priors: CameraPriors,
     calibration: RecordingCalibration,
     lane_width_m: float | None,
+    background: Background | None,
 ) -> ScaleCheck:
     # disparities of a calibrated pair that the user wants as they are
     alignment = calibration.alignment
@@ -253,4 +268,5 @@ def _scale_check(
         road_height_m=_road_height_m(context),
         # that of a recording was estimated from all of it
         learns_focal=calibration.focal is not None and calibration.estimate is None,
+        background=background,
     )

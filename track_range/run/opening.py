@@ -17,6 +17,7 @@ from track_range.calibration.drive.shown_fixed_parts import shown_fixed_parts
 from track_range.calibration.drive.shown_mounting import with_mounting
 from track_range.detection.detector import ObjectDetector
 from track_range.detection.yolo.detector import YoloDetector
+from track_range.foundation.background import beside_steps
 from track_range.foundation.progress import StepProgress
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.ranging.cameras.known_distances import KnownDistance, KnownDistances
@@ -107,6 +108,8 @@ def open_run(
         shift_m = calibration.left_from_reference_m
         truth = None if path is None else read_truth(path, calibration.camera, shift_m)
         region = settings.region or _region_of(speed.track)
+        # frames at the pace of a camera do not wait, and are not the same in another run
+        is_live = recording.live is not None or settings.realtime
         pipeline = open_pipeline(
             settings,
             calibration,
@@ -116,6 +119,7 @@ def open_run(
             ego_speed=speed.ego,
             measures_speed=settings.ego_speed == AUTO,
             needs_candidates=settings.anonymize,
+            background=beside_steps() if is_live else None,
         )
         check, rig = pipeline.doubting.check, calibration.rig
         if check is not None and rig is not None and rig.is_assumed:

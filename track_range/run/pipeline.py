@@ -2,8 +2,9 @@
 
     check the images -> rectify -> FramePipeline.step -> rows and events -> alignment for the next frame
 
-Nothing is read ahead: the alignment of a pair is estimated from each frame while the caller waits
-for the next one (`recording.pairs.aligner`).
+Nothing is read ahead, and no step waits for an estimate: the check of a pair, its alignment and a
+focal length come from a process of low priority beside the steps (`foundation.background`), and are
+used from the first frame after they are known. `deterministic=True` waits for them.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ import math
 import time
 from collections import deque
 from collections.abc import Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
@@ -25,6 +25,7 @@ from rich.console import Console
 
 from track_range.detection.detector import ObjectDetector
 from track_range.foundation.arrays import Image
+from track_range.foundation.background import Background, InThreads, beside_steps
 from track_range.foundation.errors import ConfigError, UsageError, UserError
 from track_range.foundation.schemas.keywords import KeywordsInErrors
 from track_range.pipeline.frame_pipeline import FramePipeline
@@ -44,6 +45,7 @@ from track_range.run.options.opened import open_detector
 from track_range.run.options.python_keywords import options_and_objects, pipeline_options
 from track_range.run.options.settings import PipelineOptions, RunSettings
 from track_range.run.ready_model import ready_model
+from track_range.run.warm_up import warm_up
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -124,8 +126,8 @@ class Pipeline:
     """Detection, tracking, ranging, fusion, filters and warnings of one drive, frame by frame.
 
     `Pipeline.stereo` and `Pipeline.mono` create a pipeline, and `step` gives it the next frame. It
-    is a context manager for use in one thread. Results equal the results of `Run` with the same
-    options and alignment.
+    is a context manager for use in one thread. With `deterministic=True`, results equal the results
+    of `Run` with the same options and alignment.
 
     Example:
         >>> import track_range as tr
@@ -153,6 +155,7 @@ class Pipeline:
         align: str | Path | Alignment | PairAlignment | None = "auto",
         view: LensView,
         keep_s: float = 60.0,
+        deterministic: bool = False,
     ) -> None:
         """Use `Pipeline.stereo` or `Pipeline.mono`, which check their arguments."""
         if not _is_number(keep_s) or not keep_s > 0:
@@ -184,11 +187,10 @@ class Pipeline:
             self._boxes = network_source(
                 options, lambda name: ready_model(name, Console(quiet=True)), open_detector
             )
+        warm_up(options, is_pair=is_pair)
         self._rows = RecentRows(keep_s, EventFinder(options.event_settings))
         self._parts: _Parts | None = None
-        # the alignment for the next frame is estimated while the caller waits for that frame
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="alignment")
-        self._estimating: Future[None] | None = None
+        self._background: Background = InThreads() if deterministic else beside_steps()
         self._index, self._first_s, self._last_s = 0, math.nan, -math.inf
         self._n_long_steps = 0  # in a row, up to the last frame
         self._latencies_s: deque[float] = deque(maxlen=_N_LATENCIES)
@@ -201,6 +203,7 @@ class Pipeline:
         *,
         align: str | Path | Alignment | PairAlignment | None = "auto",
         keep_s: float = 60.0,
+        deterministic: bool = False,
         fov_deg: float | None = None,
         **options: Unpack[PipelineKeywords],
     ) -> Self:
@@ -213,6 +216,10 @@ class Pipeline:
                 motion, "off", a file of `track-range align`, or an alignment, such as
                 `run.alignment`.
             keep_s: time for which rows and events are kept.
+            deterministic: whether equal frames give equal results: steps then wait for the check of
+                the pair, the alignment and the focal length, up to a second each. If not, these are
+                used from the first frame after they are known, and a second process of low
+                priority, of about 200 MB, estimates them.
             fov_deg: horizontal field of view to which images of wide lenses are undistorted; None =
                 the full field.
             options: options of `track-range run` for detection, tracking and ranging, with
@@ -229,7 +236,16 @@ class Pipeline:
             )
         values, objects = options_and_objects(PipelineOptions, {**options})
         chosen, view = pipeline_options(values), LensView(fov_deg)
-        return cls(rig, chosen, **objects, is_pair=True, align=align, view=view, keep_s=keep_s)
+        return cls(
+            rig,
+            chosen,
+            **objects,
+            is_pair=True,
+            align=align,
+            view=view,
+            keep_s=keep_s,
+            deterministic=deterministic,
+        )
 
     @classmethod
     @KeywordsInErrors(RunSettings)
@@ -239,6 +255,7 @@ class Pipeline:
         focal_px: float | None = None,
         rig: Cameras | None = None,
         keep_s: float = 60.0,
+        deterministic: bool = False,
         fov_deg: float | None = None,
         yaw_deg: float = 0.0,
         **options: Unpack[PipelineKeywords],
@@ -268,7 +285,16 @@ class Pipeline:
             )
         values, objects = options_and_objects(PipelineOptions, {**options})
         chosen, view = pipeline_options(values), LensView(fov_deg, yaw_deg)
-        return cls(cameras, chosen, **objects, is_pair=False, align="off", view=view, keep_s=keep_s)
+        return cls(
+            cameras,
+            chosen,
+            **objects,
+            is_pair=False,
+            align="off",
+            view=view,
+            keep_s=keep_s,
+            deterministic=deterministic,
+        )
 
     @property
     def alignment(self) -> PairAlignment | None:
@@ -281,7 +307,7 @@ class Pipeline:
         """The camera models of the next rectified frame; None before the first frame, which gives
         the image size.
         """
-        self._end_estimate()
+        self._use_estimates()
         return None if self._parts is None else self._parts.current
 
     @property
@@ -299,7 +325,7 @@ class Pipeline:
         """Messages for the user about the detector, the calibration, the pair and the methods so
         far.
         """
-        self._end_estimate()
+        self._use_estimates()
         boxes = self._boxes.notes()
         if self._parts is None:
             return boxes
@@ -311,6 +337,7 @@ class Pipeline:
             *boxes,
             *([unit] if self._n_long_steps == _N_LONG_STEPS else []),
             *self._parts.notes,
+            *self._background.notes,
         )
 
     def events(self) -> tuple[Event, ...]:
@@ -326,7 +353,7 @@ class Pipeline:
     def close(self) -> None:
         """End the threads; rows and events remain, but no frame may follow."""
         self._is_closed = True
-        self._thread.shutdown(wait=True)
+        self._background.close()
         if self._parts is not None:
             self._parts.stages.close()
 
@@ -440,7 +467,6 @@ class Pipeline:
         self, images: Mapping[str, Image], time_s: float, known: EgoMotion | None
     ) -> FrameResult:
         """The result of images; after an error, the pipeline is as before."""
-        self._end_estimate()
         parts = self._parts
         if parts is None:
             parts = self._open(tuple((one.shape[1], one.shape[0]) for one in images.values()))
@@ -455,15 +481,14 @@ class Pipeline:
                 parts.stages.close()
             raise
         self._parts, self._first_s = parts, first_s
-        if parts.aligner is not None and parts.aligner.can_estimate:
-            self._estimating = self._thread.submit(parts.aligner.estimate)
+        if parts.aligner is not None:
+            parts.aligner.estimate()
         return result
 
-    def _end_estimate(self) -> None:
-        """Wait for the estimate of the alignment from the last frame."""
-        estimating, self._estimating = self._estimating, None
-        if estimating is not None:
-            estimating.result()
+    def _use_estimates(self) -> None:
+        """Use the estimates of the alignment that are ready."""
+        if self._parts is not None and self._parts.aligner is not None:
+            self._parts.aligner.use_estimates()
 
     def _open(self, sizes_px: tuple[tuple[int, int], ...]) -> _Parts:
         cameras = self._cameras
@@ -474,13 +499,14 @@ class Pipeline:
         aligner = None
         if calibration.rig is not None:
             given = given_alignment(self._align, calibration.rig)
-            aligner = PairAligner(calibration, ONE_BY_ONE, given)
+            aligner = PairAligner(calibration, ONE_BY_ONE, given, background=self._background)
         stages = open_pipeline(
             self.options,
             calibration if aligner is None else aligner.calibration,
             outside_regions(self._boxes, self.options.ignore, calibration),
             region=self.options.region or "unknown",
             tracker=self._tracker,
+            background=self._background,
         )
         return _Parts(calibration, aligner, stages)
 

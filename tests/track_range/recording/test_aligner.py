@@ -1,6 +1,7 @@
 """The aligner of a pair: which frames it returns, with which alignment and right image, for frames
 that are read ahead and for frames that come one by one."""
 
+import time
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -9,6 +10,7 @@ import pytest
 
 from tests.support.images.rendered_pairs import RIG as SLOW_RIG, of_drive, shifted, turned
 from tests.track_range.recording.road_pairs import RIG, road
+from track_range.foundation.background import InProcess
 from track_range.recording.cameras.auto_alignment import PairAlignment, given_alignment
 from track_range.recording.cameras.calibration import RecordingCalibration, calibration_of
 from track_range.recording.pairs.aligner import (
@@ -53,6 +55,7 @@ def stepped(aligner: PairAligner, recorded: Iterable[RecordedFrame]) -> list[Ali
     for frame in recorded:
         results += aligner.add(frame)
         aligner.estimate()
+    aligner.use_estimates()
     return results
 
 
@@ -76,7 +79,24 @@ def test_a_given_alignment_needs_no_explanation_of_a_first_pair_that_looks_right
     assert results[0].frame.alignment == replace(
         GIVEN.measured, offset_px=GIVEN.measured.offset_px - 6
     )
-    assert not aligner.can_estimate
+    assert aligner.calibration.alignment == GIVEN
+
+
+@pytest.mark.slow
+def test_nobody_waits_for_the_check_in_a_process() -> None:
+    background = InProcess()
+    aligner = PairAligner(calibrated(), ONE_BY_ONE, background=background)
+    first, *_ = results = stepped(aligner, standing(1))
+    assert (first.frame.right, first.finding) == (None, None)
+    for again in range(1, 600):
+        results = stepped(aligner, [replace(one, time_s=again) for one in standing(1)])
+        if aligner.finding is not None:
+            break
+        time.sleep(0.1)
+    background.close()
+    assert results[-1].finding is not None
+    assert results[-1].finding.fault == "fits"
+    assert results[-1].frame.right is not None
 
 
 def test_a_given_alignment_and_a_black_first_image() -> None:

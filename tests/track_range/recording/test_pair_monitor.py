@@ -55,7 +55,7 @@ def test_a_frame_is_checked_if_it_is_due():
     assert notes_of(frames(30, step_s=0.02), monitor) == ()
     assert monitor.finding is None
     # at 0, 0.1 and 0.28 s: without motion the interval doubles
-    assert monitor._evidence.n_pairs == 3
+    assert monitor._n_pairs == 3
 
 
 def test_pairs_without_texture_are_reported():

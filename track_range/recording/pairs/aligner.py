@@ -28,9 +28,13 @@ frames is in `AlignerPolicy`.
 
 import math
 import time
+from collections import deque
 from collections.abc import Iterable, Iterator
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
+from track_range.foundation.background import Background, InThreads, Kept
 from track_range.recording.cameras.auto_alignment import PairAlignment
 from track_range.recording.cameras.calibration import RecordingCalibration
 from track_range.recording.pairs.estimates import AlignmentEstimates, PairEstimate
@@ -47,6 +51,9 @@ from track_range.stereo.geometry.frames import Frame
 ESTIMATION_SPAN_S = 8.0
 # frames between two checks of the synchronisation of those from which the alignment is estimated
 _FIRST_PERIOD = 2
+# frames that wait for the background, which takes a second for some; further ones are left out
+_MAX_PENDING = 8
+_MAX_PENDING_BEFORE = 1  # the same before the pair is checked, which would have to wait for them
 _UNSTEADY = (
     "not measured, since the vertical offset between left and right changes, as in images of "
     "different times"
@@ -120,14 +127,21 @@ class _Sample:
 
     aligned: Frame  # synchronised and rectified
     recorded: RecordedFrame
-    estimates: AlignmentEstimates  # that use it
+    estimates: Kept[AlignmentEstimates]  # that use it
+
+
+class _Pending(NamedTuple):
+    """What the background makes of a sample."""
+
+    estimates: Kept[AlignmentEstimates]
+    estimate: Future[PairEstimate | None]
 
 
 class PairAligner:
     """Aligns the frames of a pair, in order, in one thread at a time; what it returns are values.
 
     Frames that are read ahead: `look` and `start` as long as `is_looking`, then `frames`. Frames that
-    come one by one: `add`, and then `estimate`, which may take seconds.
+    come one by one: `add`, and then `estimate`, which another frame or `use_estimates` uses.
     """
 
     def __init__(
@@ -137,6 +151,7 @@ class PairAligner:
         given: PairAlignment | None = None,
         *,
         is_packed: bool = False,
+        background: Background | None = None,
     ) -> None:
         """Start with a pair that is not aligned yet.
 
@@ -145,8 +160,11 @@ class PairAligner:
             policy: what depends on the source of the frames.
             given: an alignment that does not change; None = it is estimated.
             is_packed: whether left and right are parts of the same images.
+            background: where pairs are checked, and estimates are made of frames that come one by
+                one; None = in threads, with waiting.
         """
         self._policy, self._given = policy, given
+        self._background = background or InThreads()
         if calibration.rig is None:
             raise ValueError("calibration: expected that of a pair")
         self._rig = rig = calibration.rig
@@ -155,13 +173,17 @@ class PairAligner:
         # frames for estimates: without an alignment, or corrected by the prior of the estimates
         self._unaligned = calibration
         has_checks = policy.has_checks or rig.is_assumed
-        self._check = PairMonitor(self._rig, is_packed=is_packed) if has_checks else None
+        self._check: PairMonitor | None = None
+        if has_checks:
+            self._check = PairMonitor(rig, is_packed=is_packed, background=self._background)
         self._sync: SyncMonitor | None = None
         self._finding: PairFinding | None = None
         self._has_stereo = True
         self._sample: _Sample | None = None
+        self._sampled_s = -math.inf  # time of the last sample
+        self._pending: deque[_Pending] = deque()
         # the state of the alignment: looking or estimating; None = fixed, or refused
-        self._state: _Look | AlignmentEstimates | None = None
+        self._state: _Look | Kept[AlignmentEstimates] | None = None
         if not policy.reads_ahead:
             self._has_stereo = False  # until the pair is explained
             self._sync = SyncMonitor(policy.n_ahead)
@@ -302,6 +324,7 @@ class PairAligner:
 
         Raises RigError once left and right are known to be swapped.
         """
+        self.use_estimates()
         frame = self._calibration.rectified(recorded)
         ready = [frame] if self._sync is None else self._sync.add(frame)
         return [self._aligned(one, recorded if one is frame else None) for one in ready]
@@ -321,9 +344,10 @@ class PairAligner:
             has_stereo = self._checked(self._check, frame)
         self._sample, state = None, self._state
         has_pair = self._finding is None or self._finding.has_stereo
+        is_due = frame.time_s - self._sampled_s >= MIN_STEP_S
         # without a recorded frame, the right image is that of another one
-        if isinstance(state, AlignmentEstimates) and has_pair and recorded is not None:
-            self._sample = _Sample(frame, recorded, state)
+        if isinstance(state, Kept) and has_pair and is_due and recorded is not None:
+            self._sample, self._sampled_s = _Sample(frame, recorded, state), frame.time_s
         alignment = self._calibration.alignment
         aligned = replace(
             frame,
@@ -342,7 +366,7 @@ class PairAligner:
         if finding is None:
             is_first = frame.index == 0 and self._finding is None
             if is_first and self._given is not None and not self._policy.reads_ahead:
-                self._has_stereo = check.has_stereo_so_far
+                self._has_stereo = check.fits(frame)
             return self._has_stereo
         if self._policy.reads_ahead:
             finding = finding.uncorrected(LATER)
@@ -375,25 +399,33 @@ class PairAligner:
         corrected = PairAlignment(measured=prior, is_applied=True, rig=self._rig)
         self._unaligned = self._calibration = self._plain.with_alignment(corrected)
 
-    def _estimates(self, prior: Alignment | None = None) -> AlignmentEstimates:
-        return AlignmentEstimates(self._rig, self._policy.estimates_s, prior)
-
-    @property
-    def can_estimate(self) -> bool:
-        """Whether `estimate` uses the frame that was returned last."""
-        return self._sample is not None
+    def _estimates(self, prior: Alignment | None = None) -> Kept[AlignmentEstimates]:
+        after_s = self._policy.estimates_s
+        return self._background.keep(AlignmentEstimates, self._rig, after_s, prior)
 
     def estimate(self) -> None:
-        """Use the frame that was returned last to estimate the alignment of the next frames."""
+        """Use the frame that was returned last to estimate the alignment of the next frames, in the
+        background.
+        """
         sample, self._sample = self._sample, None
-        if sample is None:
+        is_checked = self._check is None or self._finding is not None
+        n_allowed = _MAX_PENDING if is_checked else _MAX_PENDING_BEFORE
+        if sample is None or len(self._pending) >= n_allowed:
             return
         unaligned = sample.aligned
         if self._calibration.rectifier is not self._unaligned.rectifier:
             unaligned = self._unaligned.rectified(sample.recorded)
-        estimate = sample.estimates.add(unaligned)
-        if estimate is not None:
-            self._apply(estimate)
+        estimate = sample.estimates.call(AlignmentEstimates.add, unaligned)
+        self._pending.append(_Pending(sample.estimates, estimate))
+
+    def use_estimates(self) -> None:
+        """Align the next frames by the estimates that are ready."""
+        while self._pending and self._background.is_ready(self._pending[0].estimate):
+            pending = self._pending.popleft()
+            estimate = pending.estimate.result()
+            # others are of images that have been turned or corrected since then
+            if estimate is not None and pending.estimates is self._state:
+                self._apply(estimate)
 
     def _apply(self, estimate: PairEstimate) -> None:
         """Use an estimate; one that measured nothing only if it shows that less is known."""
