@@ -40,12 +40,11 @@ from track_range.results.events.event import Event
 from track_range.results.events.finder import EventFinder
 from track_range.results.table import RecentRows
 from track_range.run.box_source import boxes_of, network_source, outside_regions
-from track_range.run.build import open_pipeline
+from track_range.run.build import open_pipeline, warm_up
 from track_range.run.options.opened import open_detector
 from track_range.run.options.python_keywords import options_and_objects, pipeline_options
 from track_range.run.options.settings import PipelineOptions, RunSettings
 from track_range.run.ready_model import ready_model
-from track_range.run.warm_up import warm_up
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
