@@ -23,7 +23,7 @@ from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
 from track_range.recording.cameras.calibration import calibration_of
 from track_range.run.box_source import BoxSource
-from track_range.run.build import open_pipeline
+from track_range.run.build import SpeedInput, open_pipeline
 from track_range.run.options.settings import PipelineOptions
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import EgoMotion
@@ -138,13 +138,14 @@ def run_view(
     )
     settings = PipelineOptions(lanes="off", **options)
     tracker = _TrueTracks()
+    speed = EgoSpeed(view.times_s, view.speed_mps, "vehicle") if has_speed else None
     stages = open_pipeline(
         settings,
         calibration,
         source,
         region=settings.region or "unknown",
         tracker=tracker,
-        ego_speed=EgoSpeed(view.times_s, view.speed_mps, "vehicle") if has_speed else None,
+        speed=SpeedInput(speed),
     )
     stages.clock = NoClock()
     yaw_rate = _YawRate(view, seed)

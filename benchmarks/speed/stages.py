@@ -30,7 +30,7 @@ from track_range.results.formats.run_info import RunInfo
 from track_range.results.table import RunRows
 from track_range.results.writers import DEFAULT_WRITERS, OpenWriters
 from track_range.run.box_source import BoxSource
-from track_range.run.build import open_pipeline
+from track_range.run.build import SpeedInput, open_pipeline
 from track_range.run.options.settings import PipelineOptions
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
@@ -164,7 +164,10 @@ def _pipeline(
     )
     speed = EgoSpeed(np.array([-np.inf]), np.array([SPEED_MPS]), "drive")
     pipeline = open_pipeline(
-        PipelineOptions(sgbm=False), calibration, boxes, ego_speed=None if has_images else speed
+        PipelineOptions(sgbm=False),
+        calibration,
+        boxes,
+        speed=SpeedInput(None if has_images else speed),
     )
     if not has_images:
         pipeline.detection.lane_finder = _GivenLanes()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -62,6 +62,15 @@ _MOTION_PX, _DISPARITY_PX = 4, 10
 _CAR_PX = (280.0, 170.0, 360.0, 230.0)
 
 
+@dataclass(frozen=True, slots=True)
+class SpeedInput:
+    """The speed of the camera, as a run gets it."""
+
+    given: EgoSpeed | None = None  # from telemetry or a setting
+    # whether it is measured from the images, if none is given and a scale is known
+    is_measured: bool = True
+
+
 def open_input(
     settings: RunSettings, progress: StepProgress = no_progress, rig: StereoRig | None = None
 ) -> Recording:
@@ -82,19 +91,19 @@ def open_pipeline(
     *,
     region: Region = "unknown",
     tracker: ObjectTracker | None = None,
-    ego_speed: EgoSpeed | None = None,
-    measures_speed: bool = True,
+    speed: SpeedInput | None = None,
     needs_candidates: bool = False,
     background: Background | None = None,
 ) -> FramePipeline:
     """The pipeline of the settings, with the methods that the calibration allows.
 
-    `tracker` replaces the tracker of the settings. With `measures_speed`, an unknown speed is
-    measured from the images where a scale is known; with `needs_candidates`, results have all
-    boxes, for anonymization. Long estimates are made in the `background`; None = in threads, with
-    waiting. CurveError: the size curves cannot be read; ModelError: the
-    re-identification or lane network cannot be used; TrackerError: the tracker cannot be created;
-    MethodError: ranging methods of other packages depend on each other in a cycle.
+    `tracker` replaces the tracker of the settings; `speed` None = it is measured from the images.
+    With `needs_candidates`, results have all boxes, for anonymization. Long estimates are made in
+    the `background`; None = in threads, with waiting.
+
+    CurveError: the size curves cannot be read; ModelError: the re-identification or lane network
+    cannot be used; TrackerError: the tracker cannot be created; MethodError: ranging methods of
+    other packages depend on each other in a cycle.
     """
     mounting = calibration.view_mounting(settings.mounting)
     is_ahead = looks_ahead(mounting)
@@ -108,9 +117,8 @@ def open_pipeline(
     ego_of = partial(
         _ego_stage,
         context,
-        ego_speed,
+        speed or SpeedInput(),
         priors,
-        measures_speed=measures_speed,
         mounting=mounting,
         background=background,
     )
@@ -202,11 +210,10 @@ def _road_height_m(context: MethodContext) -> float:
 
 def _ego_stage(
     context: MethodContext,
-    ego_speed: EgoSpeed | None,
+    speed: SpeedInput,
     priors: CameraPriors,
     flow: BackgroundFlow,
     *,
-    measures_speed: bool,
     mounting: Mounting | None,
     background: Background | None,
 ) -> EgoStage:
@@ -220,16 +227,16 @@ def _ego_stage(
         else StereoOdometry(context.rig, flow=flow, background=background)
     )
     axes = None if mounting is None else mounting.travel_from_camera
-    uses_pair_speed = measures_speed or ego_speed is not None
+    uses_pair_speed = speed.is_measured or speed.given is not None
     road_height_m = _road_height_m(context)
     return EgoStage(
-        speed=ego_speed,
+        speed=speed.given,
         pair_odometry=pair_odometry,
         uses_pair_speed=looks_ahead(mounting) and uses_pair_speed,
         road_motion=GroundOdometry(
             context.camera, road_height_m, flow=flow, travel_from_camera=axes
         ),
-        uses_road_speed=measures_speed and ego_speed is None,
+        uses_road_speed=speed.is_measured and speed.given is None,
         has_given_height=context.camera_height_m is not None,
         speed_ratio_sigma=speed_ratio_sigma(priors),
         mounting=mounting,

@@ -37,7 +37,7 @@ from track_range.run.box_source import (
     outside_regions,
     remembered,
 )
-from track_range.run.build import open_input, open_pipeline
+from track_range.run.build import SpeedInput, open_input, open_pipeline
 from track_range.run.options.opened import DetectorOptions
 from track_range.run.options.settings import RunSettings
 from track_range.run.progress import step_progress
@@ -116,8 +116,7 @@ def open_run(
             box_source,
             region=region,
             tracker=tracker,
-            ego_speed=speed.ego,
-            measures_speed=settings.ego_speed == AUTO,
+            speed=SpeedInput(speed.ego, settings.ego_speed == AUTO),
             needs_candidates=settings.anonymize,
             background=beside_steps() if is_live else None,
         )

@@ -13,7 +13,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from numbers import Real
 from pathlib import Path
 from types import TracebackType
@@ -121,6 +121,31 @@ class _Parts:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class _Cameras:
+    """What is given of the cameras of a pipeline."""
+
+    models: Path | StereoRig | PinholeCamera | float | None  # a number is a focal length
+    view: LensView
+    align: str | Path | Alignment | PairAlignment | None = "off"
+    is_pair: bool = field(default=False, kw_only=True)
+
+
+def _opened_alignment(
+    align: str | Path | Alignment | PairAlignment | None,
+) -> str | Alignment | PairAlignment:
+    """An alignment, "auto" or "off"; a file is read."""
+    if isinstance(align, str | Path) and align not in ("auto", "off"):
+        return load_alignment(align)
+    if align is None:
+        return "auto"
+    if isinstance(align, str | Alignment | PairAlignment):
+        return align
+    raise ConfigError(
+        f"align: expected auto, off, a file or an alignment, found {type(align).__name__}."
+    )
+
+
 class Pipeline:
     """Detection, tracking, ranging, fusion, filters and warnings of one drive, frame by frame.
 
@@ -145,14 +170,11 @@ class Pipeline:
 
     def __init__(
         self,
-        cameras: Cameras | float | None,
+        cameras: _Cameras,
         options: PipelineOptions,
         *,
-        is_pair: bool,
         detector: ObjectDetector | None = None,
         tracker: ObjectTracker | None = None,
-        align: str | Path | Alignment | PairAlignment | None = "auto",
-        view: LensView,
         keep_s: float = 60.0,
         deterministic: bool = False,
     ) -> None:
@@ -165,20 +187,13 @@ class Pipeline:
                 "object with detect()."
             )
         self.options = options
-        self._is_pair = is_pair
-        self._cameras = Path(cameras) if isinstance(cameras, str) else cameras
-        if isinstance(self._cameras, Path):
-            load_calibration(self._cameras)  # an unusable file is reported before the first frame
-        if isinstance(align, str | Path) and align not in ("auto", "off"):
-            align = load_alignment(align)
-        elif align is not None and not isinstance(align, str | Alignment | PairAlignment):
-            raise ConfigError(
-                f"align: expected auto, off, a file or an alignment, found {type(align).__name__}."
-            )
-        self._align, self._view = "auto" if align is None else align, view
+        self._cameras = cameras
+        # unusable files are reported before the first frame
+        if isinstance(cameras.models, Path):
+            load_calibration(cameras.models)
+        self._align = _opened_alignment(cameras.align)
         self._is_closed = False
         self._tracker = tracker
-        # an unusable file is reported before the first frame
         load_curves(options.curves, options.region or "unknown")
         if detector is not None:
             self._boxes = boxes_of(detector)
@@ -186,7 +201,7 @@ class Pipeline:
             self._boxes = network_source(
                 options, lambda name: ready_model(name, Console(quiet=True)), open_detector
             )
-        warm_up(options, is_pair=is_pair)
+        warm_up(options, is_pair=cameras.is_pair)
         self._rows = RecentRows(keep_s, EventFinder(options.event_settings))
         self._parts: _Parts | None = None
         self._background: Background = InThreads() if deterministic else beside_steps()
@@ -235,16 +250,8 @@ class Pipeline:
             )
         values, objects = options_and_objects(PipelineOptions, {**options})
         chosen, view = pipeline_options(values), LensView(fov_deg)
-        return cls(
-            rig,
-            chosen,
-            **objects,
-            is_pair=True,
-            align=align,
-            view=view,
-            keep_s=keep_s,
-            deterministic=deterministic,
-        )
+        given = _Cameras(Path(rig) if isinstance(rig, str) else rig, view, align, is_pair=True)
+        return cls(given, chosen, **objects, keep_s=keep_s, deterministic=deterministic)
 
     @classmethod
     @KeywordsInErrors(RunSettings)
@@ -284,16 +291,8 @@ class Pipeline:
             )
         values, objects = options_and_objects(PipelineOptions, {**options})
         chosen, view = pipeline_options(values), LensView(fov_deg, yaw_deg)
-        return cls(
-            cameras,
-            chosen,
-            **objects,
-            is_pair=False,
-            align="off",
-            view=view,
-            keep_s=keep_s,
-            deterministic=deterministic,
-        )
+        given = _Cameras(Path(cameras) if isinstance(cameras, str) else cameras, view)
+        return cls(given, chosen, **objects, keep_s=keep_s, deterministic=deterministic)
 
     @property
     def alignment(self) -> PairAlignment | None:
@@ -439,7 +438,7 @@ class Pipeline:
         self, left: Any, right: Any, time_s: Any, image: Any
     ) -> tuple[dict[str, Image], Any]:
         """The checked images by name, and the time, of the two ways to call `step`."""
-        if self._is_pair:
+        if self._cameras.is_pair:
             named = {"left": left, "right": right}
         else:
             if time_s is None and not isinstance(right, np.ndarray):
@@ -490,11 +489,11 @@ class Pipeline:
             self._parts.aligner.use_estimates()
 
     def _open(self, sizes_px: tuple[tuple[int, int], ...]) -> _Parts:
-        cameras = self._cameras
+        cameras = self._cameras.models
         if not isinstance(cameras, Path | StereoRig | PinholeCamera | None):
             cameras = PinholeCamera.of_focal_length(float(cameras), sizes_px[0])
             check_camera(cameras, "focal_px")
-        calibration = calibration_of(cameras, sizes_px, self._view)
+        calibration = calibration_of(cameras, sizes_px, self._cameras.view)
         aligner = None
         if calibration.rig is not None:
             given = given_alignment(self._align, calibration.rig)
