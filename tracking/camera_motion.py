@@ -17,20 +17,20 @@ KITTI odometry drive with known poses, the horizon is predicted to 0.7 px rms; b
 similarities to 13-23 px, and without compensation to 1.1 px.
 """
 
+import cmath
 import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
-import numpy.typing as npt
 
-from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_shape
+from track_range.foundation.arrays import FloatArray, Image, check_shape
 from track_range.foundation.robust_statistics import MAD_TO_SIGMA
 from track_range.foundation.sparse_flow import BackgroundFlow
 
-ComplexArray = npt.NDArray[np.complex128]
-
 # of reweighting; one more changes real drives by 0.02 px
 _N_SIMILARITY_ROUNDS, _N_ROTATION_ROUNDS = 4, 5
+_SMALL_STEP_PX = 0.005  # change of t in a round after which there is no other one
 # residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)
 _TUKEY = 4.685
 _NEAR_CENTRE = 0.01  # distance / long side below which the direction from the centre means nothing
@@ -102,23 +102,25 @@ def _motion(
     """(2, 3) motion in small pixels: a similarity if nearly all agree, else yaw, pitch and roll,
     else the identity.
     """
-    if len(before_px) < settings.min_inliers:
+    n_points = len(before_px)
+    if n_points < settings.min_inliers:
         return np.eye(2, 3)
     long_side_px, centre = max(grey_hw), complex(grey_hw[1] - 1, grey_hw[0] - 1) / 2
-    points, flow = _complex(before_px) - centre, _complex(now_px - before_px)
-    c, t, inliers = _similarity(
+    points = (before_px - [centre.real, centre.imag]).T.copy()
+    flow = (now_px - before_px).T.copy()
+    c, t, n_inliers = _similarity(
         points, flow, settings, min_spread_px=settings.min_spread * long_side_px
     )
-    if inliers.mean() < settings.similarity_fraction:
-        c, t, inliers = _rotation(points, flow, settings, min_radius_px=_NEAR_CENTRE * long_side_px)
-    has_enough = (
-        inliers.sum() >= settings.min_inliers and inliers.mean() >= settings.min_inlier_fraction
-    )
+    if n_inliers < settings.similarity_fraction * n_points:
+        c, t, n_inliers = _rotation(
+            points, flow, settings, min_radius_px=_NEAR_CENTRE * long_side_px
+        )
+    has_enough = n_inliers >= max(settings.min_inliers, settings.min_inlier_fraction * n_points)
     is_near = (
         abs(t.real) <= settings.max_shift * grey_hw[1]
         and abs(t.imag) <= settings.max_shift * grey_hw[0]
     )
-    is_level = abs(np.angle(c)) <= settings.max_roll_rad
+    is_level = abs(cmath.phase(c)) <= settings.max_roll_rad
     if not (
         has_enough
         and is_near
@@ -130,88 +132,101 @@ def _motion(
     return np.array([[c.real, -c.imag, origin.real], [c.imag, c.real, origin.imag]])
 
 
-def _complex(xy: FloatArray) -> ComplexArray:
-    """(N, 2) -> (N,) x + iy; a similarity is then a complex factor c = a + ib and a shift t."""
-    return np.asarray(xy[:, 0] + 1j * xy[:, 1])
-
-
 def _median(values: FloatArray) -> float:
     """The upper median; numpy's median takes ten times as long for so few values."""
     return float(np.sort(values)[len(values) // 2])
 
 
-def _weights(residual_px: FloatArray, noise_px: float) -> FloatArray:
-    """(N,) Tukey weights of residuals (N,) >= 0, scaled by their standard deviation, at least
+def _weights(residual2_px2: FloatArray, noise_px: float) -> FloatArray:
+    """(N,) Tukey weights of squared residuals (N,), scaled by their standard deviation, at least
     `noise_px`.
     """
-    limit_px = _TUKEY * max(MAD_TO_SIGMA * _median(residual_px), noise_px)
-    return np.asarray((1 - np.minimum(residual_px / limit_px, 1) ** 2) ** 2)
+    scale_px = max(MAD_TO_SIGMA * math.sqrt(_median(residual2_px2)), noise_px)
+    return np.asarray((1 - np.minimum(residual2_px2 / (_TUKEY * scale_px) ** 2, 1)) ** 2)
 
 
 def _similarity(
-    points: ComplexArray,
-    flow: ComplexArray,
-    settings: CameraMotionSettings,
-    *,
-    min_spread_px: float,
-) -> tuple[complex, complex, BoolArray]:
-    """A robust similarity c = a + ib and t, by least squares in closed form, and the (N,) mask of
-    the inliers.
+    points: FloatArray, flow: FloatArray, settings: CameraMotionSettings, *, min_spread_px: float
+) -> tuple[complex, complex, int]:
+    """A robust similarity c = a + ib and t of points (2, N) from the image centre, by least squares
+    in closed form, and the number of inliers.
+
+    With the sums of weight w = 1, the growth g = c - 1 = sum w conj(p - mean) flow / sum w |p - mean|^2.
     """
-    growth, t = 0j, complex(_median(flow.real), _median(flow.imag))  # growth: c - 1
+    x, y = points
+    # rows 1, p, its square, its flow, and conj(p) flow, whose weighted sums determine the motion
+    terms = np.array(
+        [
+            np.ones_like(x),
+            x,
+            y,
+            x * x + y * y,
+            *flow,
+            x * flow[0] + y * flow[1],
+            x * flow[1] - y * flow[0],
+        ]
+    )
+    growth, t = 0j, complex(_median(flow[0]), _median(flow[1]))
     for _ in range(_N_SIMILARITY_ROUNDS):
-        weight = _weights(np.abs(growth * points + t - flow), settings.noise_px)
-        weight /= weight.sum()
-        mean, mean_flow = weight @ points, weight @ flow
-        centred = points - mean
-        spread_px2 = float(weight @ (centred.real**2 + centred.imag**2))
-        is_spread = spread_px2 >= min_spread_px**2
-        growth = (
-            complex((weight * centred.conj()) @ (flow - mean_flow)) / spread_px2
-            if is_spread
-            else 0j
-        )
-        t = complex(mean_flow - growth * mean)
-    inliers = np.abs(growth * points + t - flow) <= settings.max_residual_px
-    return 1 + growth, t, np.asarray(inliers)
+        weight = _weights(_off_similarity2(points, flow, growth, t), settings.noise_px)
+        total, *sums = (terms @ weight).tolist()
+        mean_x, mean_y, mean_square, flow_x, flow_y, along, across = (v / total for v in sums)
+        mean, mean_flow = complex(mean_x, mean_y), complex(flow_x, flow_y)
+        spread_px2 = mean_square - abs(mean) ** 2
+        growth = 0j
+        if spread_px2 >= min_spread_px**2:
+            growth = (complex(along, across) - mean.conjugate() * mean_flow) / spread_px2
+        before, t = t, mean_flow - growth * mean
+        if abs(t - before) < _SMALL_STEP_PX:
+            break
+    off2 = _off_similarity2(points, flow, growth, t)
+    return 1 + growth, t, int(np.count_nonzero(off2 <= settings.max_residual_px**2))
+
+
+def _off_similarity2(
+    points: FloatArray, flow: FloatArray, growth: complex, t: complex
+) -> FloatArray:
+    """(N,) squared residuals of the flow (2, N) by a similarity."""
+    turn = np.array([[growth.real, -growth.imag], [growth.imag, growth.real]])
+    off = turn @ points - flow + np.array([[t.real], [t.imag]])
+    off *= off
+    return np.asarray(off[0] + off[1])
 
 
 def _rotation(
-    points: ComplexArray,
-    flow: ComplexArray,
-    settings: CameraMotionSettings,
-    *,
-    min_radius_px: float,
-) -> tuple[complex, complex, BoolArray]:
-    """Yaw, pitch and roll as c = a + ib (of size 1) and t, and the (N,) inliers: none if t is not
-    determined.
+    points: FloatArray, flow: FloatArray, settings: CameraMotionSettings, *, min_radius_px: float
+) -> tuple[complex, complex, int]:
+    """Yaw, pitch and roll as c = a + ib (of size 1) and t, and the number of inliers: none if t is
+    not determined.
 
     Perpendicular to the direction from the centre, at distance r, the flow is t + b r - z v: linear
     in t, b and v for a given z, which is the flow along that direction, less t, over r. Features on
     one line from the centre do not determine t along it.
     """
-    r = np.maximum(np.abs(points), min_radius_px)
-    direction = points / r
-    # real part along the direction, imaginary part perpendicular to it
-    radial_flow = flow * direction.conj()
-    perpendicular = np.stack([-direction.imag, direction.real], axis=1)
-    t = complex(_median(flow.real), _median(flow.imag))
-    solution = np.array([t.real, t.imag, 0.0, 0.0, 0.0])  # t, b, v
-    columns = np.empty((len(points), 5))
-    columns[:, :2], columns[:, 2] = perpendicular, r
+    r = np.maximum(np.sqrt((points * points).sum(axis=0)), min_radius_px)
+    along = points / r
+    along_per_r = along / r
+    z_of_flow = (flow * along_per_r).sum(axis=0)
+    terms = np.empty((5, points.shape[1]))  # of t, b and v
+    terms[0], terms[1], terms[2] = -along[1], along[0], r
+    perpendicular = terms[:2]
+    across = (flow * perpendicular).sum(axis=0)
+    t = np.array([_median(flow[0]), _median(flow[1])])
+    solution = np.array([*t, 0.0, 0.0, 0.0])
     for _ in range(_N_ROTATION_ROUNDS):
-        z = (radial_flow - t * direction.conj()).real / r
-        columns[:, 3:] = -z[:, None] * perpendicular
-        weighted = (
-            columns
-            * _weights(np.abs(radial_flow.imag - columns @ solution), settings.noise_px)[:, None]
-        )
-        covariance = np.linalg.inv(weighted.T @ columns + _RIDGE)
-        solution = covariance @ (weighted.T @ radial_flow.imag)
-        t = complex(solution[0], solution[1])
-    t_sigma_px = settings.noise_px * float(np.sqrt(covariance[0, 0] + covariance[1, 1]))
-    inliers = (np.abs(radial_flow.imag - columns @ solution) <= settings.max_residual_px) & (
-        t_sigma_px <= settings.max_residual_px
-    )
+        np.multiply(perpendicular, t @ along_per_r - z_of_flow, out=terms[3:])
+        residual = across - solution @ terms
+        weighted = terms * _weights(residual * residual, settings.noise_px)
+        information = weighted @ terms.T + _RIDGE
+        solution = cv2.solve(information, (weighted @ across)[:, None])[1][:, 0]
+        step, t = solution[:2] - t, solution[:2]
+        if step @ step < _SMALL_STEP_PX**2:
+            break
+    covariance = np.linalg.inv(information)
+    t_sigma_px = settings.noise_px * math.sqrt(covariance[0, 0] + covariance[1, 1])
+    n_inliers = 0
+    if t_sigma_px <= settings.max_residual_px:
+        off = np.abs(across - solution @ terms)
+        n_inliers = int(np.count_nonzero(off <= settings.max_residual_px))
     c = complex(1.0, solution[2])
-    return c / abs(c), t, np.asarray(inliers)
+    return c / abs(c), complex(*t.tolist()), n_inliers

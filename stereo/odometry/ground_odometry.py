@@ -26,10 +26,12 @@ up to 15 m.
 
 import math
 from collections import deque
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
 
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, check_shape
 from track_range.foundation.sparse_flow import BackgroundFlow, small_grey
@@ -58,12 +60,14 @@ _BESIDE_M, _BESIDE_WIDTH_M, _MIN_BESIDE_M, _MOST_BESIDE = (0.5, 8.0), 1.5, 3.0, 
 _MIN_BESIDE_STRIPS = 6
 # standard deviation of their height against the road under the wheels: kerbs are 0.1 to 0.15 m high
 _RAISED_M = 0.07
-_LONGEST_M = 40.0  # largest Z of a picture
+# all Z of pictures, from far to near
+_ALL_Z = np.arange(40.0, -40.0, -_STEP_Z_M)
 # samples per cell in both directions, of which a cell has the mean: cells near the camera have many
 # pixels, of which a single one would be aliased, so that shifts are drawn to whole cells
 _N_SAMPLES = 4
 _STRIP_M = 2.0  # length of a strip
 _N_STRIP = round(_STRIP_M / _STEP_Z_M)  # cells of it
+_MIN_DEVIATION2 = 1.0  # smallest sum of squared deviations of a strip that is compared
 # distance of the middle of the picture, at which its plane has the slope of the road
 _PICTURE_M = 9.0
 _MAX_SPEED_MPS = 45.0
@@ -378,20 +382,22 @@ class GroundOdometry:
         return [lane for lane in lanes if len(lane[1]) * _STEP_Z_M > _MIN_BESIDE_M][:_MOST_BESIDE]
 
     def _seen_m(self, X: FloatArray, level: FloatArray, from_m: float) -> FloatArray:
-        """(K,) Z, from far to near, at which the image shows the road at all X well."""
+        """(K,) Z, from far to near and without gaps, at which the image shows the road at all X
+        well.
+        """
         camera = self._camera
-        Z = np.arange(_LONGEST_M, -_LONGEST_M, -_STEP_Z_M)
-        edges = np.stack([_road(X[:1], Z, self.height_m), _road(X[-1:], Z, self.height_m)])
-        road = edges @ level.T
-        depth_m = road[..., 2].min(axis=0)
-        xy_px = camera.project(road.reshape(-1, 3)).reshape(2, -1, 2)
-        is_inside = ((xy_px >= 1) & (xy_px <= np.array(camera.size_px) - 2)).all(axis=(0, 2))
+        edges = _road(X[[0, -1]], _ALL_Z, self.height_m)
+        u, v, depth_m = (camera.matrix @ level @ edges).reshape(3, -1, 2)
+        depth_m = np.where(depth_m > 0, depth_m, np.nan)
+        u, v = u / depth_m, v / depth_m
+        is_inside = (u >= 1) & (u <= camera.width_px - 2) & (v >= 1) & (v <= camera.height_px - 2)
+        is_seen = is_inside[:, 0] & is_inside[:, 1]
+        nearer_m = np.minimum(depth_m[:, 0], depth_m[:, 1])
         sharp_m = math.sqrt(_MAX_PIXEL_M * camera.fy_px * self.height_m)
-        is_seen = is_inside & (depth_m <= sharp_m)
-        is_seen &= depth_m >= from_m * min(sharp_m / _FARTHEST_M, 1.0)
-        nearest_m = depth_m[is_seen].min(initial=math.inf)
-        is_seen &= depth_m <= max(_FARTHEST_M, nearest_m + _MIN_LENGTH_M)
-        return np.asarray(Z[is_seen])
+        is_seen &= (nearer_m <= sharp_m) & (nearer_m >= from_m * min(sharp_m / _FARTHEST_M, 1.0))
+        nearest_m = nearer_m[is_seen].min(initial=math.inf)
+        is_seen &= nearer_m <= max(_FARTHEST_M, nearest_m + _MIN_LENGTH_M)
+        return _ALL_Z[is_seen]
 
     def _strips(
         self,
@@ -406,13 +412,14 @@ class GroundOdometry:
         """
         X, Z = lane
         hw = len(Z), len(X)
-        road = _road(X, Z, self.height_m)
+        road, image_from_cell = _road(X, Z, self.height_m), _road_from_cell(X, Z, self.height_m)
         sampled, masked = [], []
         for picture in pictures:
-            camera_from_level = self._travel_from_camera.T @ picture.rotation.T @ level
-            points_px = self._camera.project(road @ camera_from_level.T)
-            sampled.append(_sampled(picture.grey, points_px, hw))
-            masked.append(_are_inside(points_px, picture.xyxy_px))
+            image_from_road = (
+                self._camera.matrix @ self._travel_from_camera.T @ picture.rotation.T @ level
+            )
+            sampled.append(_sampled(picture.grey, image_from_road @ image_from_cell, hw))
+            masked.append(_are_inside(image_from_road @ road, picture.xyxy_px))
         before, now = sampled
         masked_fraction = np.logical_or(*masked).reshape(hw).mean(axis=1)
         nearer_m, scores = _strip_correlations(before, now, masked_fraction, n_shifts)
@@ -431,10 +438,17 @@ class _Picture(NamedTuple):
 
 
 def _road(X: FloatArray, Z: FloatArray, height_m: float) -> FloatArray:
-    """(len(Z) * len(X), 3) points of the road in the level frame, from far to near."""
-    return np.stack(
-        [np.tile(X, len(Z)), np.full(len(X) * len(Z), height_m), np.repeat(Z, len(X))], axis=1
-    )
+    """(3, len(Z) * len(X)) points of the road in the level frame, from far to near."""
+    road = np.empty((3, len(Z), len(X)))
+    road[0], road[1], road[2] = X, height_m, Z[:, None]
+    return road.reshape(3, -1)
+
+
+def _road_from_cell(X: FloatArray, Z: FloatArray, height_m: float) -> FloatArray:
+    """(3, 3) from homogeneous column and row of the cells, which have equal distances, to points of
+    the road in the level frame.
+    """
+    return np.array([[X[1] - X[0], 0.0, X[0]], [0.0, 0.0, height_m], [0.0, Z[1] - Z[0], Z[0]]])
 
 
 def slow_factor(speed_mps: float) -> float:
@@ -452,20 +466,26 @@ def _strip_correlations(
 
     NaN = outside the picture.
     """
-    nearer_m, scores = [], []
-    for top in range(0, len(before) - _N_STRIP + 1, _N_STRIP // 2):
-        strip = before[top : top + _N_STRIP]
-        if (
-            masked_fraction[top : top + _N_STRIP].mean() > _MAX_MASKED_FRACTION
-            or strip.std() < _MIN_STRIP_GREY
-        ):
-            continue
-        score = np.full(n_shifts, np.nan)
-        known = cv2.matchTemplate(now[top:], strip, cv2.TM_CCOEFF_NORMED)[:n_shifts, 0]
-        score[: len(known)] = known
-        nearer_m.append(_STEP_Z_M * (top + (_N_STRIP - 1) / 2))
-        scores.append(score)
-    return np.array(nearer_m), np.array(scores).reshape(-1, n_shifts)
+    top = np.arange(0, len(before) - _N_STRIP + 1, _N_STRIP // 2)
+    strips, windows = _windows(before)[top], _windows(now)
+    strips -= strips.mean(axis=1, keepdims=True)
+    spread = np.sqrt((strips * strips).sum(axis=1))
+    is_used = spread >= _MIN_STRIP_GREY * math.sqrt(strips.shape[1])
+    is_used &= _windows(masked_fraction[:, None])[top].mean(axis=1) <= _MAX_MASKED_FRACTION
+    top, strips = top[is_used], strips[is_used] / spread[is_used, None]
+    deviation2 = (windows * windows).sum(axis=1) - windows.shape[1] * windows.mean(axis=1) ** 2
+    likeness = (strips @ windows.T) / np.sqrt(np.maximum(deviation2, _MIN_DEVIATION2))
+    nearer = top[:, None] + np.arange(n_shifts)  # first rows of the windows
+    last = windows.shape[0] - 1
+    scores = np.take_along_axis(likeness.astype(np.float64), np.minimum(nearer, last), axis=1)
+    scores[nearer > last] = np.nan
+    return _STEP_Z_M * (top + (_N_STRIP - 1) / 2), scores
+
+
+def _windows(picture: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """(H - 19, 20 W) values of the parts of a picture (H, W) that are as long as a strip."""
+    parts = sliding_window_view(picture, _N_STRIP, axis=0)
+    return parts.reshape(len(parts), -1)
 
 
 def _best_shift(scores: FloatArray) -> float | None:
@@ -551,20 +571,37 @@ def _vertex(score: FloatArray, best: int) -> float:
     return best + (0.5 * (low - high) / curvature if curvature < 0 else 0.0)
 
 
-def _sampled(image: Image, points_px: FloatArray, hw: tuple[int, int]) -> FloatArray32:
-    """(H, W) grey levels at points (H * W, 2), without their means along Z, by which lane lines and
-    ruts look alike at any shift; the edge is repeated outside the image.
+def _sampled(image: Image, image_from_cell: FloatArray, hw: tuple[int, int]) -> FloatArray32:
+    """(H, W) grey levels of the cells, without their means along Z, by which lane lines and ruts
+    look alike at any shift; the edge is repeated outside the image.
+
+    `image_from_cell` (3, 3) leads from homogeneous column and row of a cell to those of the image.
     """
-    cells = points_px.astype(np.float32).reshape(*hw, 2)
-    u, v = cv2.split(cv2.resize(cells, None, fx=_N_SAMPLES, fy=_N_SAMPLES))
-    sampled = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    height, width = _N_SAMPLES * hw[0], _N_SAMPLES * hw[1]
+    # the centres of the samples of a cell lie about its own
+    place = 0.5 / _N_SAMPLES - 0.5
+    scale = 1 / _N_SAMPLES
+    cell_from_sample = np.array([[scale, 0.0, place], [0.0, scale, place], [0.0, 0.0, 1.0]])
+    sampled = cv2.warpPerspective(
+        image,
+        image_from_cell @ cell_from_sample,
+        (width, height),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
     means = cv2.resize(sampled.astype(np.float32), hw[::-1], interpolation=cv2.INTER_AREA)
     along = cv2.blur(means, (1, _N_STRIP), borderType=cv2.BORDER_REFLECT)
     return np.asarray(means - along, np.float32)
 
 
-def _are_inside(points_px: FloatArray, xyxy_px: FloatArray) -> BoolArray:
-    """(N,) whether points (N, 2) are inside a box."""
-    x, y = points_px.T[:, None]
-    x1, y1, x2, y2 = xyxy_px.T[:, :, None]
-    return np.asarray(((x >= x1) & (x <= x2) & (y >= y1) & (y <= y2)).any(axis=0))
+def _are_inside(points: FloatArray, xyxy_px: FloatArray) -> BoolArray:
+    """(N,) whether homogeneous points (3, N) of the image are inside a box."""
+    xy_px = points[:2] / points[2]
+    low, high = xy_px.min(axis=1), xy_px.max(axis=1)
+    meets = (xyxy_px[:, 2:] >= low) & (xyxy_px[:, :2] <= high)
+    near = xyxy_px[meets[:, 0] & meets[:, 1]]  # most boxes are beside the road ahead
+    are_inside = np.zeros(points.shape[1], np.bool_)
+    x, y = xy_px
+    for x1, y1, x2, y2 in near.tolist():
+        are_inside |= (x >= x1) & (x <= x2) & (y >= y1) & (y <= y2)
+    return are_inside

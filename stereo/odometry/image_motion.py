@@ -20,6 +20,7 @@ which rates and the direction of travel are stated, and in which the prior of th
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -31,7 +32,10 @@ from track_range.stereo.geometry.camera import PinholeCamera
 
 # residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)
 _TUKEY = 4.685
-_N_ROUNDS = 7  # rounds of Gauss-Newton
+_N_ROUNDS = 8  # of Gauss-Newton, at most
+# squared length of a step that ends them, in standard deviations, from this round on
+_SMALL_STEP2 = 0.01
+_FEWEST_ROUNDS = 4
 # the first ones, for the rotation alone, which a wrong direction cannot mislead
 _N_ROTATION_ROUNDS = 3
 _ROUNDS_OF_NOISE = (1, 3, 5)  # rounds that update the noise of the points, with the rotation so far
@@ -69,6 +73,14 @@ _MAX_GAP_S = 0.6  # longest time between two frames
 _MIN_FORWARD = 0.5
 # smallest motion of a point by a translation of its depth, at which the growth is measured
 _MIN_RADIUS = 0.03
+# v x = sum of v_k _SKEW[k], the matrices of the cross products with the axes
+_SKEW = np.array(
+    [
+        [[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
+        [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]],
+        [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
+    ]
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -249,43 +261,47 @@ def fit_epipolar(
     (2,) is of its x and y in the axes of travel, `focal_px` the focal length of the tracked image.
     """
     noise = _NOISE_PX / focal_px
-    flow = median_of((now[:, :2] - before[:, :2]).T)
+    rays = _RayPairs.of(before, now)
+    flow = median_of(rays.now[:2] - rays.before[:2])
     # across the motion of a point on the axis, which the translation causes
     x, y = (flow - direction[:2] * (direction[:2] @ flow)).tolist()
     rotation, t = np.asarray(cv2.Rodrigues(np.array([-y, x, 0.0]))[0], np.float64), direction
-    pair = np.ascontiguousarray(before.T), np.ascontiguousarray(now.T)
-    prior, sigma = np.zeros((5, 5)), np.full(len(now), noise)
+    sigma = np.full(len(now), noise)
     for k in range(_N_ROUNDS):
         if k in _ROUNDS_OF_NOISE:
-            sigma = np.hypot(
-                noise, _FLOW_NOISE * np.linalg.norm(now - _turned(before, rotation), axis=1)
-            )
-        residual, jacobian, tangents = _sampson(*pair, rotation, t)
+            moved2 = ((rays.now - rays.turned(rotation)) ** 2).sum(axis=0)
+            sigma = np.sqrt(noise**2 + _FLOW_NOISE**2 * moved2)
+        n = 3 if k < _N_ROTATION_ROUNDS else 5
+        tangents = _tangents(t)
+        distances = rays.sampson(rotation, t, tangents[: n - 3])
+        residual, jacobian = distances[0], distances[1:]
         size = np.abs(residual) / sigma
         # a tenth of the time of numpy's median for so few values
         median = np.sort(size)[len(size) // 2]
         spread = max(MAD_TO_SIGMA * float(median), 1.0)
-        weight = (1.0 - np.minimum(size / (_TUKEY * spread), 1.0) ** 2) ** 2
-        weighted = jacobian * (weight / (spread * sigma) ** 2)
-        across = (tangents @ travel_from_camera.T)[:, :2]
-        prior[3:, 3:] = (across / direction_variance) @ across.T
-        information = np.asarray(weighted @ jacobian.T + prior, np.float64)
-        gradient = weighted @ residual
-        away = (travel_from_camera @ (t - direction))[:2]
-        gradient[3:] += across @ (away / direction_variance)
-        n = 3 if k < _N_ROTATION_ROUNDS else 5
-        regular = information[:n, :n].copy()  # it is singular if too few points have weight
+        weight = ((1.0 - np.minimum(size / (_TUKEY * spread), 1.0) ** 2) / (spread * sigma)) ** 2
+        weighted = jacobian * weight
+        information, gradient = weighted @ jacobian.T, weighted @ residual
+        if n == 5:
+            across = (tangents @ travel_from_camera.T)[:, :2]
+            pull = across / direction_variance
+            information[3:, 3:] += pull @ across.T
+            gradient[3:] += pull @ (travel_from_camera @ (t - direction))[:2]
+        regular = information.copy()  # it is singular if too few points have weight
         regular.flat[:: n + 1] += 1e-9 * regular.trace()
-        step = -np.linalg.solve(regular, gradient[:n])
+        step = -cv2.solve(regular, gradient[:, None])[1].ravel()
         rotation = np.asarray(cv2.Rodrigues(step[:3])[0] @ rotation, np.float64)
         if n == 5:
-            t = t + tangents.T @ step[3:]
+            t = t + step[3:] @ tangents
             t = t / math.sqrt(t @ t)
-    residual = _sampson(*pair, rotation, t)[0]
+        # the squared length of the step, in standard deviations
+        if k >= _FEWEST_ROUNDS and -float(step @ gradient) < _SMALL_STEP2:
+            break
+    residual = rays.sampson(rotation, t, tangents[:0])[0]
     covariance = np.linalg.inv(information)
     # The epipolar lines of t and -t are the same, but the points move as by one of them.
-    flow = now - _turned(before, rotation)  # (t - p' t_z) / z for a point at depth z
-    is_backward = median_of((flow * (t - now * t[2])).sum(axis=1)) < 0
+    flow = rays.now - rays.turned(rotation)  # (t - p' t_z) / z for a point at depth z
+    is_backward = median_of(t @ flow - (rays.now * flow).sum(axis=0) * t[2]) < 0
     return EpipolarFit(
         rotation=np.asarray(cv2.Rodrigues(rotation)[0], np.float64).reshape(3),
         rotation_covariance=np.asarray(covariance[:3, :3], np.float64),
@@ -293,7 +309,7 @@ def fit_epipolar(
         direction_variance=np.asarray(np.diag(across.T @ covariance[3:, 3:] @ across), np.float64),
         is_static=np.asarray(np.abs(residual) <= _MAX_RESIDUAL_PX / focal_px),
         cost=float(np.minimum((residual / sigma) ** 2, _MAX_COST).mean()),
-        moved=float(median_of(np.linalg.norm(flow, axis=1))),
+        moved=float(median_of(np.sqrt((flow**2).sum(axis=0)))),
     )
 
 
@@ -321,32 +337,56 @@ def _turned(rays: FloatArray, rotation: FloatArray) -> FloatArray:
     return np.asarray(turned / turned[:, 2:])
 
 
-def _sampson(
-    before: FloatArray, now: FloatArray, rotation: FloatArray, t: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(N,) Sampson distances, their derivatives (5, N) by rotation and direction, and the (2, 3)
-    tangents of t.
+class _RayPairs(NamedTuple):
+    """Rays of N points before and now as columns with z = 1."""
 
-    Rays are (3, N). For q + dw x q, d(q . back) = dw . (q x back); by direction, d(p' . (t x q)) =
-    dt . (q x p').
-    """
-    q = rotation @ before
+    both: FloatArray  # (6, N) before, then now
+    products: FloatArray  # (9, N) of the components now and before: p'^T M p = vec(M) . products
+
+    @classmethod
+    def of(cls, before: FloatArray, now: FloatArray) -> "_RayPairs":
+        """Pairs from rays (N, 3)."""
+        both = np.concatenate([before, now], axis=1).T.copy()
+        return cls(both, (both[3:, None] * both[:3]).reshape(9, -1))
+
+    @property
+    def before(self) -> FloatArray:
+        """(3, N) rays before."""
+        return self.both[:3]
+
+    @property
+    def now(self) -> FloatArray:
+        """(3, N) rays now."""
+        return self.both[3:]
+
+    def turned(self, rotation: FloatArray) -> FloatArray:
+        """(3, N) rays before after a rotation (3, 3), scaled to z = 1."""
+        turned = rotation @ self.both[:3]
+        return np.asarray(turned / turned[2])
+
+    def sampson(self, rotation: FloatArray, t: FloatArray, tangents: FloatArray) -> FloatArray:
+        """(4 + K, N) Sampson distances p'^T [t]x R p / scale, and their derivatives by the rotation
+        (3) and along the tangents (K, 3) of t.
+
+        For R + [dw]x R, the derivative is p'^T [t]x [dw]x R p / scale.
+        """
+        turns = np.concatenate([t[None], tangents]) @ _SKEW.reshape(3, 9)
+        turns = turns.reshape(-1, 3, 3)
+        T = turns[0]
+        forms = np.concatenate([T[None], T @ _SKEW, turns[1:]]) @ rotation
+        gradients = np.zeros((4, 6))
+        gradients[:2, :3], gradients[2:, 3:] = forms[0, :2], T[:2]
+        scale = np.sqrt(((gradients @ self.both) ** 2).sum(axis=0)) + 1e-9
+        return np.asarray(forms.reshape(-1, 9) @ self.products / scale, np.float64)
+
+
+def _tangents(t: FloatArray) -> FloatArray:
+    """(2, 3) unit vectors across t (3,) and each other."""
     x, y, z = t.tolist()
-    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # [t]x
-    line, back = across @ q, -across @ now  # p'^T [t]x q = p' . line = q . back
-    scale = np.sqrt(line[0] ** 2 + line[1] ** 2 + back[0] ** 2 + back[1] ** 2) + 1e-9
-    first = across @ np.array([0.0, 1.0, 0.0] if abs(t[1]) < 0.9 else [1.0, 0.0, 0.0])
-    first = first / math.sqrt(first @ first)
-    tangents = np.array([first, across @ first])
-    jacobian = np.concatenate([_cross(q, back), tangents @ _cross(q, now)]) / scale
-    return np.asarray((now * line).sum(axis=0) / scale, np.float64), jacobian, tangents
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(3, N) cross products of columns; `np.cross` takes five times as long for so few columns."""
-    return np.array(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    )
+    first = (-z, 0.0, x) if abs(y) < 0.9 else (0.0, z, -y)
+    across = np.array(first) / math.hypot(*first)
+    a, b, c = across.tolist()
+    return np.array([across, (y * c - z * b, z * a - x * c, x * b - y * a)])
 
 
 def _growth(turned: FloatArray, now: FloatArray, direction: FloatArray) -> tuple[float, float]:

@@ -15,7 +15,8 @@ from track_range.foundation.robust_statistics import median_of
 
 # residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)
 _TUKEY = 4.685
-_N_ROUNDS = 5  # rounds of Gauss-Newton; the last one changes the translation by less than 1 mm
+_N_ROUNDS = 5  # of Gauss-Newton, at most; the last one changes the translation by less than 1 mm
+_SMALL_STEP2 = 0.01  # squared length of a step that ends them, in standard deviations
 # the same with a free offset of the inverse depths, while it changes by more than some sigmas
 _N_OFFSET_ROUNDS, _LARGE_OFFSET_SIGMAS = 5, 2.0
 # random triples of corners: of half static ones, one is all static with a probability of 99.5 %
@@ -86,11 +87,14 @@ def fit_motion(
     motion = _of_triples(points, rng)
     for _ in range(_N_ROUNDS):
         equations = points.equations(motion)
-        information = equations.information[:6, :6]
-        step = np.asarray(-np.linalg.solve(information, equations.gradient[:6]), np.float64)
+        gradient = equations.gradient[:6]
+        inverse = np.linalg.inv(equations.information[:6, :6])
+        step = np.asarray(-inverse @ gradient, np.float64)
         motion = motion.moved_by(step)
-    by_offset = -np.linalg.solve(information, equations.information[:6, 6])
-    covariance = np.linalg.inv(information) * equations.spread2
+        if -float(step @ gradient) < _SMALL_STEP2 * equations.spread2:
+            break
+    by_offset = -inverse @ equations.information[:6, 6]
+    covariance = inverse * equations.spread2
     is_static = equations.distance2 <= _MAX_DISTANCE2 * equations.spread2
     # the camera has not passed the point
     is_static &= motion.moved(rays, inverse_depth)[:, 2] > MIN_RATIO
@@ -108,14 +112,20 @@ class _Equations(NamedTuple):
     """Normal equations of rotation, translation and a common error of all inverse depths."""
 
     information: FloatArray  # (7, 7)
-    scores: FloatArray  # (7, N) contributions to the gradient
+    weighted: FloatArray  # (7, 2, N) weighted derivatives
+    residual: FloatArray  # (2, N)
     distance2: FloatArray  # (N,) squared Mahalanobis distances
     spread2: float  # ratio of the squared residuals to those expected, at least 1
 
     @property
+    def scores(self) -> FloatArray:
+        """(7, N) contributions to the gradient."""
+        return np.asarray((self.weighted * self.residual).sum(axis=1))
+
+    @property
     def gradient(self) -> FloatArray:
         """(7,) gradient."""
-        return np.asarray(self.scores.sum(axis=1))
+        return np.asarray(self.weighted.reshape(7, -1) @ self.residual.ravel())
 
 
 class _Points(NamedTuple):
@@ -129,19 +139,18 @@ class _Points(NamedTuple):
 
     def equations(self, motion: RigidMotion, offset: float = 0.0) -> _Equations:
         """The normal equations at a motion and an offset of the inverse depths."""
-        residual, jacobian, by_depth = _reprojection(
-            motion, self.rays, self.inverse_depth + offset, self.now
-        )
-        variance = self.noise**2 + self.inverse_depth_noise**2 * (by_depth**2).sum(axis=0)
-        distance2 = (residual**2).sum(axis=0) / variance
+        residual, jacobian = _reprojection(motion, self.rays, self.inverse_depth + offset, self.now)
+        by_x, by_y = jacobian[6]
+        variance = self.noise**2 + self.inverse_depth_noise**2 * (by_x * by_x + by_y * by_y)
+        squared = residual * residual
+        distance2 = (squared[0] + squared[1]) / variance
         spread2 = max(1.0, float(median_of(distance2)) / _CHI2_MEDIAN)
         weight = np.maximum(1 - distance2 / (_TUKEY**2 * spread2), 0.0) ** 2 / variance
-        whole = np.concatenate([jacobian, by_depth[:, None]], axis=1)
-        weighted = whole * weight
-        information = np.asarray((weighted @ whole.transpose(0, 2, 1)).sum(axis=0), np.float64)
-        information[:6, :6] += 1e-9 * np.trace(information[:6, :6]) * np.eye(6)
-        scores = np.asarray(np.einsum("ajn,an->jn", weighted, residual), np.float64)
-        return _Equations(information, scores, np.asarray(distance2), spread2)
+        weighted = jacobian * weight
+        information = np.asarray(weighted.reshape(7, -1) @ jacobian.reshape(7, -1).T, np.float64)
+        ridge = 1e-9 * information[:6, :6].trace()
+        information.flat[: 6 * 8 : 8] += ridge  # the diagonal of rotation and translation
+        return _Equations(information, weighted, residual, distance2, spread2)
 
     @property
     def cell(self) -> IntArray:
@@ -184,22 +193,27 @@ def _rotation(vector: FloatArray) -> FloatArray:
 
 def _reprojection(
     motion: RigidMotion, rays: FloatArray, inverse_depth: FloatArray, now: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(2, N) reprojection errors of x and y, and their derivatives: (2, 6, N) by w and t, (2, N) by
-    inverse depth.
+) -> tuple[FloatArray, FloatArray]:
+    """(2, N) reprojection errors of x and y, and their derivatives (7, 2, N) by w, t and inverse
+    depth.
 
     With q = R m + t rho, u = R m:  d q = w x u + rho dt + t drho, d (q_x / q_z) = (d q_x - x d q_z) / q_z
     """
-    u_x, u_y, u_z = motion.rotation @ rays.T
-    t_x, t_y, t_z = motion.translation_m.tolist()
-    z = np.maximum(u_z + t_z * inverse_depth, MIN_RATIO)
-    x, y = (u_x + t_x * inverse_depth) / z, (u_y + t_y * inverse_depth) / z
-    zero = np.zeros(len(z))
-    by_x = [-x * u_y, u_z + x * u_x, -u_y, inverse_depth, zero, -x * inverse_depth]
-    by_y = [-u_z - y * u_y, y * u_x, u_x, zero, inverse_depth, -y * inverse_depth]
-    jacobian = np.array([by_x, by_y]) / z
-    by_depth = np.array([t_x - x * t_z, t_y - y * t_z]) / z
-    return np.array([x, y]) - now[:, :2].T, jacobian, by_depth
+    u = motion.rotation @ rays.T
+    t = motion.translation_m[:, None]
+    q = u + t * inverse_depth
+    z = np.maximum(q[2], MIN_RATIO)
+    xy = q[:2] / z
+    u_x, u_y, u_z = u / z
+    rho = inverse_depth / z
+    jacobian = np.zeros((7, 2, len(z)))
+    jacobian[0], jacobian[1], jacobian[5] = -xy * u_y, xy * u_x, -xy * rho
+    jacobian[0, 1] -= u_z
+    jacobian[1, 0] += u_z
+    jacobian[2, 0], jacobian[2, 1] = -u_y, u_x
+    jacobian[3, 0] = jacobian[4, 1] = rho
+    jacobian[6] = (t[:2] - xy * t[2]) / z
+    return xy - now[:, :2].T, jacobian
 
 
 def _of_triples(points: _Points, rng: np.random.Generator) -> RigidMotion:
