@@ -21,6 +21,9 @@ _SMALL_STEP2 = 0.01  # squared length of a step that ends them, in standard devi
 _N_OFFSET_ROUNDS, _LARGE_OFFSET_SIGMAS = 5, 2.0
 # random triples of corners: of half static ones, one is all static with a probability of 99.5 %
 _N_TRIPLES = 40
+# of a motion near the start that needs no triples: fraction of the points that fit it, so that no
+# other motion has as many, and largest ratio of the squared residuals to those expected
+_SURE_FRACTION, _SURE_SPREAD2 = 0.6, 4.0
 _CHI2_MEDIAN = 1.386  # median of the chi-squared distribution with 2 degrees of freedom
 # largest squared Mahalanobis distance of a static corner, which 1.1 % of them exceed
 _MAX_DISTANCE2 = 9.0
@@ -75,16 +78,43 @@ def fit_motion(
     inverse_depth_noise: float,
     rng: np.random.Generator,
     expected_offset: float = 0.0,
+    start: RigidMotion | None = None,
 ) -> MotionFit:
     """Motion of the camera from N points with inverse depths.
 
     `rays` (N, 3) m in the previous frame and `now` (N, 3) p' in this frame have z = 1;
     `inverse_depth` (N,) is rho in 1/m. The standard deviations are `noise` of p', rad, and
     `inverse_depth_noise` of rho, 1/m; `rng` draws triples. `expected_offset` is the
-    common error of all rho, near which the one that fits best is sought.
+    common error of all rho, near which the one that fits best is sought. Triples are drawn if most
+    points do not fit a motion near `start`.
     """
     points = _Points(rays, inverse_depth, now, noise, inverse_depth_noise)
-    motion = _of_triples(points, rng)
+    fit = None if start is None else _refined(points, start)
+    if fit is None or fit.spread2 > _SURE_SPREAD2 or fit.is_static.mean() < _SURE_FRACTION:
+        fit = _refined(points, _of_triples(points, rng))
+    by_offset = -fit.inverse @ fit.by_offset
+    return MotionFit(
+        fit.motion,
+        np.asarray(fit.inverse * fit.spread2, np.float64),
+        np.asarray(by_offset, np.float64),
+        _offset(points, fit.motion, expected_offset),
+        fit.is_static,
+        math.sqrt(fit.spread2),
+    )
+
+
+class _Refined(NamedTuple):
+    """A motion that fits the points near it best."""
+
+    motion: RigidMotion
+    inverse: FloatArray  # (6, 6) inverse of its information
+    by_offset: FloatArray  # (6,) information shared with a common error of all inverse depths
+    is_static: BoolArray  # (N,) which points agree with it
+    spread2: float  # ratio of the squared residuals to those expected, at least 1
+
+
+def _refined(points: _Points, motion: RigidMotion) -> _Refined:
+    """The motion by Gauss-Newton from a first one."""
     for _ in range(_N_ROUNDS):
         equations = points.equations(motion)
         gradient = equations.gradient[:6]
@@ -93,18 +123,11 @@ def fit_motion(
         motion = motion.moved_by(step)
         if -float(step @ gradient) < _SMALL_STEP2 * equations.spread2:
             break
-    by_offset = -inverse @ equations.information[:6, 6]
-    covariance = inverse * equations.spread2
     is_static = equations.distance2 <= _MAX_DISTANCE2 * equations.spread2
     # the camera has not passed the point
-    is_static &= motion.moved(rays, inverse_depth)[:, 2] > MIN_RATIO
-    return MotionFit(
-        motion,
-        np.asarray(covariance, np.float64),
-        np.asarray(by_offset, np.float64),
-        _offset(points, motion, expected_offset),
-        np.asarray(is_static),
-        math.sqrt(equations.spread2),
+    is_static &= motion.moved(points.rays, points.inverse_depth)[:, 2] > MIN_RATIO
+    return _Refined(
+        motion, inverse, equations.information[:6, 6], np.asarray(is_static), equations.spread2
     )
 
 
@@ -117,10 +140,10 @@ class _Equations(NamedTuple):
     distance2: FloatArray  # (N,) squared Mahalanobis distances
     spread2: float  # ratio of the squared residuals to those expected, at least 1
 
-    @property
-    def scores(self) -> FloatArray:
-        """(7, N) contributions to the gradient."""
-        return np.asarray((self.weighted * self.residual).sum(axis=1))
+    def influence(self, direction: FloatArray) -> FloatArray:
+        """(N,) contributions of the points to the gradient along a direction (7,)."""
+        along = (direction @ self.weighted.reshape(7, -1)).reshape(2, -1) * self.residual
+        return np.asarray(along[0] + along[1])
 
     @property
     def gradient(self) -> FloatArray:
@@ -155,10 +178,11 @@ class _Points(NamedTuple):
     @property
     def cell(self) -> IntArray:
         """(N,) cells of the image, whose points may have errors in common."""
-        xy = self.rays[:, :2] - np.min(self.rays[:, :2], axis=0)
-        largest = np.maximum(np.max(xy, axis=0), 1e-9)
-        place = np.asarray(_N_CELLS * xy / largest).astype(np.int64)
-        column, row = np.minimum(place, _N_CELLS - np.array([1, 1])).T
+        xy = self.rays.T[:2]
+        low = xy.min(axis=1, keepdims=True)
+        size = np.maximum(xy.max(axis=1, keepdims=True) - low, 1e-9)
+        n_cells = _N_CELLS[:, None]
+        column, row = np.minimum((n_cells * (xy - low) / size).astype(np.int64), n_cells - 1)
         return np.asarray(_N_CELLS[1] * column + row)
 
 
@@ -179,11 +203,9 @@ def _offset(points: _Points, motion: RigidMotion, offset: float) -> tuple[float,
             break
     # the scatter of the cells (Liang and Zeger 1986): the errors of images that vibrate, or of a
     # wrong lens, are common to many points
-    of_cell = np.zeros((int(_N_CELLS.prod()), 7))
-    np.add.at(of_cell, points.cell, equations.scores.T)
-    n_cells = int(np.count_nonzero(of_cell.any(axis=1)))
-    by_cell = (of_cell @ covariance[6]) ** 2
-    scatter = math.sqrt(float(by_cell.sum()) * n_cells / max(n_cells - 7, 1))
+    by_cell = np.bincount(points.cell, equations.influence(covariance[6]))
+    n_cells = int(np.count_nonzero(by_cell))
+    scatter = math.sqrt(float(by_cell @ by_cell) * n_cells / max(n_cells - 7, 1))
     return offset, max(sigma, scatter)
 
 

@@ -39,7 +39,6 @@ from track_range.foundation.robust_statistics import median_of
 from track_range.foundation.sparse_flow import (
     BackgroundFlow,
     FlowFrame,
-    are_masked,
     halved,
     small_grey,
     tracked_corners,
@@ -54,6 +53,7 @@ from track_range.stereo.odometry.motion_fit import (
     AT_REST,
     MIN_RATIO,
     MotionFit,
+    RigidMotion,
     fit_motion,
 )
 from track_range.stereo.odometry.speed_filter import SpeedFilter
@@ -69,8 +69,6 @@ _MIN_SIDE_PX = 64  # smallest side of a small image that has room for windows in
 _N_FEATURES = 300  # largest number of corners
 _MIN_QUALITY = 0.001  # minimum quality of a corner, as a fraction of the best corner's
 _WINDOW_PX = 9  # side of the tracked window
-_N_LEVELS = 4  # pyramid levels above the small image for tracking over time
-_N_LEVELS_PREDICTED = 2  # the same with a predicted motion
 _NOISE_PX = 0.15  # standard deviation of a corner tracked over time; larger residuals raise both
 # Standard deviation of a disparity; with both and an exact alignment, the rms error of the speed on
 # simulated drives is 0.7 (seeds 0-9) and 0.6 (20-29) of its sigma.
@@ -94,12 +92,16 @@ _MAX_GAP_S = 0.6  # longest time between two frames
 
 
 class _View(NamedTuple):
-    """Time, small left image, (N, 2) corners and (N,) disparities of one frame, in small pixels."""
+    """Corners of one frame with disparities, in small pixels."""
 
     time_s: float
-    left: Image
-    corners: FloatArray32
-    disparity_px: FloatArray
+    number: IntArray  # (N,) numbers of the corners in the flow of the background
+    rays: FloatArray  # (N, 3)
+    inverse_depth: FloatArray  # (N,) in 1/m
+    motion: RigidMotion  # to the next frame, as it is expected; at rest = unknown
+    # (N, 2) points and (N,) disparities in the next frame by this motion
+    expected: FloatArray32
+    expected_px: FloatArray
 
 
 class _Tracked(NamedTuple):
@@ -148,6 +150,7 @@ class _Matches(NamedTuple):
     right: FloatArray32  # (N, 2) in the corrected right image
     expected_px: FloatArray  # (N,) disparities there by the motion; NaN = unknown
     number: IntArray  # (N,) numbers of tracked points; -1 = a new corner
+    corner: IntArray  # (N,) numbers of new corners; -1 = a tracked point
 
     @property
     def is_corner(self) -> BoolArray:
@@ -191,7 +194,6 @@ class StereoOdometry:
         self._vibration = Vibration()
         self._focal_factor, self._zoomed_s = 1.0, math.nan
         self._filter = SpeedFilter()
-        self._motion = AT_REST
         self._rng = np.random.default_rng(0)
 
     def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
@@ -213,9 +215,9 @@ class StereoOdometry:
         self._right.follow(self._given or self._rig.alignment_of(frame))
         warped = self._right.now
         right = small_grey(warped.warped(frame.right), self._n_halved)
-        if before is not None and not 0 < frame.time_s - before.time_s <= _MAX_GAP_S:
+        if before is not None and not self._follows(before, frame.time_s):
             before = None
-        tracked = None if before is None else self._tracked(before, now)
+        tracked = None if before is None else self._tracked(before)
         fit = None if tracked is None else tracked.reliable
         matches = self._matches(now, right, warped.alignment, tracked)
         dt_s = frame.time_s - (frame.time_s if before is None else before.time_s)
@@ -227,22 +229,29 @@ class StereoOdometry:
                 self._zoomed_s, fit = frame.time_s, None
             matches = matches._replace(expected_px=np.full(len(matches.number), np.nan))
         moved = self._right_moved(matches, fit, frame.time_s, dt_s)
-        if not self._realign(frame, tracked, matches):
-            self._before = self._view(frame.time_s, now.small, matches, (warped, moved))
-        if before is None:
-            return EgoMotion()
-        self._vibration.add(frame.time_s, None if fit is None else fit.rotation_rad)
+        is_aligned_again = self._realign(frame, tracked, matches)
+        motion, ego = AT_REST, EgoMotion()
+        if before is not None:
+            motion, ego = self._moved(frame.time_s, dt_s, fit, moved.alignment)
+        if not is_aligned_again:
+            self._before = self._view(frame.time_s, matches, (warped, moved), motion)
+        return ego
+
+    def _moved(
+        self, time_s: float, dt_s: float, fit: MotionFit | None, alignment: Alignment
+    ) -> tuple[RigidMotion, EgoMotion]:
+        """The motion to the next frame, as it is expected, at rest = unknown, and the motion since
+        the previous frame.
+        """
+        self._vibration.add(time_s, None if fit is None else fit.rotation_rad)
         if fit is not None:
-            speed_mps, sigma_mps, systematic_mps = self._speed(fit, dt_s, moved.alignment)
+            speed_mps, sigma_mps, systematic_mps = self._speed(fit, dt_s, alignment)
             speed_mps += self._right.missed_offset_px * self._by_offset_px(fit) / dt_s
             if sigma_mps <= max(_MAX_SIGMA_MPS, _MAX_RELATIVE_SIGMA * abs(speed_mps)):
-                self._motion = fit.motion
-                filtered = self._filter.update(
-                    frame.time_s, dt_s, speed_mps, sigma_mps, systematic_mps
-                )
+                filtered = self._filter.update(time_s, dt_s, speed_mps, sigma_mps, systematic_mps)
                 yaw_rad = -float(fit.rotation_rad[1])
                 shows_rest = abs(speed_mps) <= _MAX_STILL_MPS
-                return EgoMotion(
+                return fit.motion, EgoMotion(
                     *filtered,
                     yaw_rad / dt_s,
                     self._filter.is_rest(filtered, shows_rest=shows_rest),
@@ -250,10 +259,16 @@ class StereoOdometry:
                     is_predicted=not self._filter.is_measured,
                 )
         # without a measurement: the predicted speed, for a short time
-        filtered = self._filter.update(frame.time_s, dt_s, math.nan, math.nan, math.nan)
-        return EgoMotion(
+        filtered = self._filter.update(time_s, dt_s, math.nan, math.nan, math.nan)
+        return AT_REST, EgoMotion(
             *filtered, noise_mps=self._filter.noise_mps, is_predicted=not self._filter.is_measured
         )
+
+    def _follows(self, before: _View, time_s: float) -> bool:
+        """Whether the flow leads from the corners of a frame to the frame of `time_s`."""
+        last = self._flow.before
+        is_last = last is not None and last.time_s == before.time_s
+        return is_last and 0 < time_s - before.time_s <= _MAX_GAP_S
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -308,14 +323,14 @@ class StereoOdometry:
         """
         corners = frame.corners.points[: frame.corners.n_good(_N_FEATURES, _MIN_QUALITY)]
         coarse_px = self._coarse_disparities(frame.small, right, corners)
-        is_known = np.isfinite(coarse_px)
-        corners, start_px = corners[is_known], coarse_px[is_known]
-        n_corners = len(corners)
-        expected_px = np.full(n_corners, np.nan)
-        number = np.full(n_corners, -1)
+        corner = np.flatnonzero(np.isfinite(coarse_px))
+        corners, start_px = corners[corner], coarse_px[corner]
+        expected_px = np.full(len(corner), np.nan)
+        number = np.full(len(corner), -1)
         if tracked is not None:
             static, disparity_px = tracked.static
             points, number = tracked.points[static], np.concatenate([number, static])
+            corner = np.concatenate([corner, np.full(len(static), -1)])
             measured_px = disparity_px - self._correction_px(points, alignment)
             corners = np.concatenate([corners, points])
             start_px = np.concatenate([start_px, measured_px])
@@ -334,6 +349,7 @@ class StereoOdometry:
             matches[is_matched],
             expected_px[is_matched],
             number[is_matched],
+            corner[is_matched],
         )
 
     def _zoom(self, matches: _Matches, tracked: _Tracked) -> float:
@@ -376,22 +392,30 @@ class StereoOdometry:
     def _view(
         self,
         time_s: float,
-        left: Image,
         matches: _Matches,
         moved: tuple[RightCamera, RightCamera],
+        motion: RigidMotion,
     ) -> _View:
         """The corners of a frame, with the disparities after the second correction of the right
-        camera; the images have the first one.
+        camera; the images have the first one. The flow expects them where `motion` leads.
         """
         warped, right = moved
-        corners = matches.left[matches.is_corner]
+        number, corners = matches.corner[matches.is_corner], matches.left[matches.is_corner]
         factor = 1 << self._n_halved
         points = right.moved_from(warped, self._full(matches.right[matches.is_corner]))
         disparity_px, row_px = (self._full(corners) - points).T / factor
         is_used = (disparity_px >= _MIN_DISPARITY_PX) & (np.abs(row_px) <= _MAX_ROW_PX)
-        corners, disparity_px = corners[is_used], disparity_px[is_used]
-        correction_px = self._correction_px(corners, right.alignment)
-        return _View(time_s, left, corners, disparity_px + correction_px)
+        number, corners, disparity_px = number[is_used], corners[is_used], disparity_px[is_used]
+        disparity_px = disparity_px + self._correction_px(corners, right.alignment)
+        rays, inverse_depth = self._rays(corners), disparity_px / self._focal_baseline_m
+        after = motion.moved(rays, inverse_depth)
+        expected = self._pixels(after).astype(np.float32)
+        expected_px = disparity_px / np.maximum(after[:, 2], MIN_RATIO)
+        if motion is AT_REST:
+            expected_px = np.full(len(rays), np.nan)
+        else:
+            self._flow.expect(number, expected)
+        return _View(time_s, number, rays, inverse_depth, motion, expected, expected_px)
 
     def _correction_px(self, points: FloatArray32, alignment: Alignment) -> FloatArray:
         """(N,) correction of the disparities of points (N, 2), in small pixels."""
@@ -419,30 +443,15 @@ class StereoOdometry:
         disparity_px = steps[row, column] / 8.0  # sixteenths of pixels of half the size
         return np.where(disparity_px >= 0, disparity_px, np.nan)
 
-    def _tracked(self, before: _View, now: FlowFrame) -> _Tracked | None:
+    def _tracked(self, before: _View) -> _Tracked | None:
         """The corners of the previous frame in this one, and the motion that fits them; None if
         there are too few.
         """
-        rays = self._rays(before.corners)
-        inverse_depth = before.disparity_px / self._focal_baseline_m
-        moved = self._motion.moved(rays, inverse_depth)
-        expected = self._pixels(moved).astype(np.float32)
-        expected_px = before.disparity_px / np.maximum(moved[:, 2], MIN_RATIO)
-        if self._motion is AT_REST:  # or unknown
-            expected_px = np.full(len(rays), np.nan)
-        points, is_tracked = tracked_corners(
-            before.left,
-            now.small,
-            before.corners,
-            window_px=_WINDOW_PX,
-            n_levels=_N_LEVELS if self._motion is AT_REST else _N_LEVELS_PREDICTED,
-            start=np.where(np.isfinite(expected), expected, before.corners),
-        )
-        is_tracked[is_tracked] = ~are_masked(points[is_tracked], now.is_masked)
-        self._motion = AT_REST
+        followed, is_followed = self._flow.followed(_N_FEATURES, _MIN_QUALITY)
+        points, is_tracked = followed[before.number], is_followed[before.number]
         if is_tracked.sum() < _MIN_FEATURES:
             return None
-        rays, inverse_depth = rays[is_tracked], inverse_depth[is_tracked]
+        rays, inverse_depth = before.rays[is_tracked], before.inverse_depth[is_tracked]
         full_focal_baseline = self._focal_baseline_m * (1 << self._n_halved)
         expected_offset = self._right.expected_offset_px / full_focal_baseline
         fit = fit_motion(
@@ -453,14 +462,15 @@ class StereoOdometry:
             inverse_depth_noise=_DISPARITY_NOISE_PX / self._focal_baseline_m,
             rng=self._rng,
             expected_offset=expected_offset,
+            start=before.motion,
         )
         depth_ratio = fit.motion.moved(rays, inverse_depth)[:, 2]
         disparity_px = inverse_depth * self._focal_baseline_m / np.maximum(depth_ratio, MIN_RATIO)
         return _Tracked(
             fit,
             points[is_tracked],
-            expected[is_tracked],
-            expected_px[is_tracked],
+            before.expected[is_tracked],
+            before.expected_px[is_tracked],
             disparity_px,
             expected_offset,
         )

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray
 
 # side of the cells of the mask, small pixels: boxes grow by up to one, so that few windows overlap
 _CELL_PX = 8
@@ -26,7 +26,7 @@ _MIN_EIGENVALUE = 1e-5
 # window of the structure tensor at half size, and smallest eigenvalue that counts
 _TENSOR_PX, _MIN_TENSOR = 5, 1e-6
 # tracked window, and pyramid levels, for motions larger than the window
-_WINDOW_PX, _N_LEVELS = 9, 4
+_WINDOW_PX, _N_LEVELS, _N_LEVELS_EXPECTED = 9, 4, 2
 _MIN_SIDE_PX = 32  # of a small image that has room for windows
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)  # iterations and step in px
 
@@ -207,6 +207,9 @@ class BackgroundFlow:
         self._points: FloatArray32 = np.zeros((0, 2), np.float32)
         self._is_tracked: BoolArray = np.zeros(0, np.bool_)
         self._needs: set[tuple[int, float]] = set()
+        # numbers (N,) and places (N, 2) of corners of the last frame that are expected in the next
+        self._expected: tuple[IntArray, FloatArray32] | None = None
+        self._start: FloatArray32 | None = None  # where the search of all corners begins
 
     def add(self, image: Image, xyxy_px: FloatArray, time_s: float = math.nan) -> None:
         """Use an image, BGR or grey, as the last frame, unless the last frame has the same time;
@@ -218,6 +221,7 @@ class BackgroundFlow:
             return
         self._last_s = time_s
         before, self.before, self.now = self.now, None, None
+        expected, self._expected, self._start = self._expected, None, None
         self._points, self._is_tracked = np.zeros((0, 2), np.float32), np.zeros(0, np.bool_)
         image_hw = image.shape[0], image.shape[1]
         n_halved = self.n_halvings(image_hw)
@@ -229,7 +233,21 @@ class BackgroundFlow:
         self.now = FlowFrame(
             time_s, image_hw, n_halved, grey, small, is_masked, ranked_corners(small, is_masked)
         )
-        self.before = before if before is not None and before.image_hw == image_hw else None
+        if before is None or before.image_hw != image_hw:
+            return
+        self.before = before
+        if expected is not None:
+            self._start = before.corners.points.copy()
+            self._start[expected[0]] = expected[1]
+
+    def expect(self, number: IntArray, points: FloatArray32) -> None:
+        """Begin the search of corners of the last frame, which have the numbers (N,), at points
+        (N, 2) of the next frame; the search of others begins at their places.
+
+        Corners that an expected motion moves far are then found.
+        """
+        is_known = np.isfinite(points).all(axis=1)
+        self._expected = number[is_known], points[is_known]
 
     def n_halvings(self, image_hw: tuple[int, int]) -> int:
         """Number of halvings of the small image of an image of this size."""
@@ -239,19 +257,33 @@ class BackgroundFlow:
         """(N, 2) places in both frames of at most `n_corners` corners, of `min_quality` relative to
         the best.
         """
+        points, is_tracked = self.followed(n_corners, min_quality)
+        if self.before is None:
+            return points, points
+        return self.before.corners.points[: len(points)][is_tracked], points[is_tracked]
+
+    def followed(self, n_corners: int, min_quality: float) -> tuple[FloatArray32, BoolArray]:
+        """(N, 2) places in the last frame of the first corners of the frame before it, at most
+        `n_corners` and of `min_quality` relative to the best, and (N,) whether they were found
+        outside of the boxes.
+        """
         if self.now is None or self.before is None:
-            return np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32)
+            return np.zeros((0, 2), np.float32), np.zeros(0, np.bool_)
         corners = self.before.corners
         n_good = corners.n_good(n_corners, min_quality)
         self._needs.add((n_corners, min_quality))
         if n_good > len(self._points):
             n_needed = max(starmap(corners.n_good, self._needs))
-            new = corners.points[len(self._points) : n_needed]
+            new = slice(len(self._points), n_needed)
             points, is_tracked = tracked_corners(
-                self.before.small, self.now.small, new, window_px=_WINDOW_PX, n_levels=_N_LEVELS
+                self.before.small,
+                self.now.small,
+                corners.points[new],
+                window_px=_WINDOW_PX,
+                n_levels=_N_LEVELS if self._start is None else _N_LEVELS_EXPECTED,
+                start=None if self._start is None else self._start[new],
             )
             is_tracked[is_tracked] = ~are_masked(points[is_tracked], self.now.is_masked)
             self._points = np.concatenate([self._points, points])
             self._is_tracked = np.concatenate([self._is_tracked, is_tracked])
-        is_tracked = self._is_tracked[:n_good]
-        return corners.points[:n_good][is_tracked], self._points[:n_good][is_tracked]
+        return self._points[:n_good], self._is_tracked[:n_good]
