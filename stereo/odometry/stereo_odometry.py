@@ -234,7 +234,7 @@ class StereoOdometry:
         if before is not None:
             motion, ego = self._moved(frame.time_s, dt_s, fit, moved.alignment)
         if not is_aligned_again:
-            self._before = self._view(frame.time_s, matches, (warped, moved), motion)
+            self._before = self._view(now, matches, (warped, moved), motion)
         return ego
 
     def _moved(
@@ -321,7 +321,7 @@ class StereoOdometry:
         """Corners of the left image, and static points tracked to it, that are also found in the
         right image.
         """
-        corners = frame.corners.points[: frame.corners.n_good(_N_FEATURES, _MIN_QUALITY)]
+        corners = _corners(frame)
         coarse_px = self._coarse_disparities(frame.small, right, corners)
         corner = np.flatnonzero(np.isfinite(coarse_px))
         corners, start_px = corners[corner], coarse_px[corner]
@@ -391,7 +391,7 @@ class StereoOdometry:
 
     def _view(
         self,
-        time_s: float,
+        frame: FlowFrame,
         matches: _Matches,
         moved: tuple[RightCamera, RightCamera],
         motion: RigidMotion,
@@ -399,7 +399,7 @@ class StereoOdometry:
         """The corners of a frame, with the disparities after the second correction of the right
         camera; the images have the first one. The flow expects them where `motion` leads.
         """
-        warped, right = moved
+        (warped, right), first, time_s = moved, _corners(frame), frame.time_s
         number, corners = matches.corner[matches.is_corner], matches.left[matches.is_corner]
         factor = 1 << self._n_halved
         points = right.moved_from(warped, self._full(matches.right[matches.is_corner]))
@@ -407,15 +407,26 @@ class StereoOdometry:
         is_used = (disparity_px >= _MIN_DISPARITY_PX) & (np.abs(row_px) <= _MAX_ROW_PX)
         number, corners, disparity_px = number[is_used], corners[is_used], disparity_px[is_used]
         disparity_px = disparity_px + self._correction_px(corners, right.alignment)
-        rays, inverse_depth = self._rays(corners), disparity_px / self._focal_baseline_m
+        # corners without disparity are mostly far away
+        rays = self._rays(first)
+        inverse_depth = np.zeros(len(first))
+        inverse_depth[number] = disparity_px / self._focal_baseline_m
         after = motion.moved(rays, inverse_depth)
         expected = self._pixels(after).astype(np.float32)
-        expected_px = disparity_px / np.maximum(after[:, 2], MIN_RATIO)
+        expected_px = disparity_px / np.maximum(after[number, 2], MIN_RATIO)
         if motion is AT_REST:
-            expected_px = np.full(len(rays), np.nan)
+            expected_px = np.full(len(number), np.nan)
         else:
-            self._flow.expect(number, expected)
-        return _View(time_s, number, rays, inverse_depth, motion, expected, expected_px)
+            self._flow.expect(expected)
+        return _View(
+            time_s,
+            number,
+            rays[number],
+            inverse_depth[number],
+            motion,
+            expected[number],
+            expected_px,
+        )
 
     def _correction_px(self, points: FloatArray32, alignment: Alignment) -> FloatArray:
         """(N,) correction of the disparities of points (N, 2), in small pixels."""
@@ -506,3 +517,8 @@ class StereoOdometry:
         """(N, 2) points of the small image, NaN behind the camera."""
         factor = 1 << self._n_halved
         return (self._rig.left.project(xyz) - (factor - 1) / 2) / factor
+
+
+def _corners(frame: FlowFrame) -> FloatArray32:
+    """(N, 2) best corners of a frame."""
+    return frame.corners.points[: frame.corners.n_good(_N_FEATURES, _MIN_QUALITY)]

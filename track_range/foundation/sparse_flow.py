@@ -15,7 +15,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image
 
 # side of the cells of the mask, small pixels: boxes grow by up to one, so that few windows overlap
 _CELL_PX = 8
@@ -207,8 +207,8 @@ class BackgroundFlow:
         self._points: FloatArray32 = np.zeros((0, 2), np.float32)
         self._is_tracked: BoolArray = np.zeros(0, np.bool_)
         self._needs: set[tuple[int, float]] = set()
-        # numbers (N,) and places (N, 2) of corners of the last frame that are expected in the next
-        self._expected: tuple[IntArray, FloatArray32] | None = None
+        # (N, 2) places of the first corners of the last frame that are expected in the next one
+        self._expected: FloatArray32 | None = None
         self._start: FloatArray32 | None = None  # where the search of all corners begins
 
     def add(self, image: Image, xyxy_px: FloatArray, time_s: float = math.nan) -> None:
@@ -238,16 +238,14 @@ class BackgroundFlow:
         self.before = before
         if expected is not None:
             self._start = before.corners.points.copy()
-            self._start[expected[0]] = expected[1]
+            is_known = np.isfinite(expected).all(axis=1)
+            self._start[: len(expected)][is_known] = expected[is_known]
 
-    def expect(self, number: IntArray, points: FloatArray32) -> None:
-        """Begin the search of corners of the last frame, which have the numbers (N,), at points
-        (N, 2) of the next frame; the search of others begins at their places.
-
-        Corners that an expected motion moves far are then found.
+    def expect(self, points: FloatArray32) -> None:
+        """Begin the search of the first corners of the last frame at points (N, 2) of the next
+        frame, NaN = unknown, so that corners that an expected motion moves far are found.
         """
-        is_known = np.isfinite(points).all(axis=1)
-        self._expected = number[is_known], points[is_known]
+        self._expected = points
 
     def n_halvings(self, image_hw: tuple[int, int]) -> int:
         """Number of halvings of the small image of an image of this size."""
