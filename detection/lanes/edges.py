@@ -9,20 +9,24 @@ concrete is detected in the yellow channel, (R + G) / 2 - B, instead of grey. Wi
 shadows have more contrast than the paint, no lines are found; use a network in such scenes.
 """
 
-from typing import Any
+from itertools import pairwise
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from track_range.detection.lanes.ego_lane import EgoLane
 from track_range.detection.lanes.lines import NO_BOXES, LaneLines
 from track_range.detection.lanes.markings import Markings, run_middles
 from track_range.detection.lanes.model import HORIZON
-from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_shape
+from track_range.foundation.arrays import (
+    BoolArray,
+    FloatArray,
+    FloatArray32,
+    Image,
+    check_shape,
+)
 from track_range.foundation.robust_statistics import median_of
 
-Float32Array = npt.NDArray[np.float32]
 # approximate width of the downscaled image, by an integer factor: others take ten times as long
 _WIDTH_PX = 640
 _ROW_STEP = 2  # every second row is searched
@@ -74,42 +78,43 @@ def paint_points(image: Image, horizon_px: float) -> FloatArray:
     """
     first = _first_row(horizon_px, len(image))
     both = cv2.transform(np.asarray(image[first::_ROW_STEP], np.float32), _GREY_AND_YELLOW)
-    grey, yellow = cv2.split(cv2.blur(both, (3, 1)))  # smoothed along the rows
-    points = []
-    for rows in np.array_split(np.arange(len(grey)), _N_BANDS):
-        if not len(rows):
+    # (2, K, W), smoothed along the rows
+    channels = np.array(cv2.split(cv2.blur(both, (3, 1))))
+    n_rows = channels.shape[1]
+    is_peak = np.zeros(channels.shape[1:], np.bool_)
+    size, n_larger = divmod(n_rows, _N_BANDS)
+    edges = [number * size + min(number, n_larger) for number in range(_N_BANDS + 1)]
+    for top, bottom in pairwise(edges):
+        if top == bottom:
             continue
-        band = slice(rows[0], rows[-1] + 1)
-        reach = max(round(_PAINT_SLOPE * (first + _ROW_STEP * float(rows.mean()) - horizon_px)), 3)
-        row, x = run_middles(
-            _peaks(np.maximum(_bars(grey[band], reach), _bars(yellow[band], reach)), reach)
-        )
-        points.append(np.stack([x, first + _ROW_STEP * rows[row]], axis=1))
-    return np.concatenate(points) if points else np.zeros((0, 2))
+        row_px = first + _ROW_STEP * (top + bottom - 1) / 2
+        reach = max(round(_PAINT_SLOPE * (row_px - horizon_px)), 3)
+        is_peak[top:bottom] = _peaks(_bars(channels[:, top:bottom], reach), reach)
+    row, x = run_middles(is_peak)
+    return np.stack([x, first + _ROW_STEP * row], axis=1)
 
 
 def _first_row(horizon_px: float, height_px: int) -> int:
     return int(np.clip(horizon_px + _MIN_DEPTH * height_px, 0, max(height_px - _N_BANDS, 0)))
 
 
-def _bars(channel: npt.NDArray[Any], reach: int) -> Float32Array:
-    """(H, W) difference of each pixel from the brighter of its neighbours at `reach` pixels; 0
-    below a threshold.
+def _bars(channels: FloatArray32, reach: int) -> FloatArray32:
+    """(H, W) largest difference of each pixel in channels (2, H, W) from the brighter of its
+    neighbours at `reach` pixels; 0 below a threshold.
     """
-    response = np.zeros_like(channel)
-    if channel.shape[1] <= 2 * reach:
+    response = np.zeros_like(channels[0])
+    if channels.shape[2] <= 2 * reach:
         return response
-    step = channel[:, reach:] - channel[:, :-reach]
+    step = channels[..., reach:] - channels[..., :-reach]
     # Paint must exceed the texture of its row, for example the pattern of shade on asphalt.
-    texture = 1.48 * median_of(np.abs(step[:, ::3]))[:, None]
-    inner = np.minimum(step[:, :-reach], -step[:, reach:])
-    response[:, reach:-reach] = inner * (
-        inner > np.maximum(_MIN_CONTRAST, _MIN_TEXTURE_RATIO * texture)
-    )
+    texture = 1.48 * median_of(np.abs(step[..., ::3]))[..., None]
+    inner = np.minimum(step[..., :-reach], -step[..., reach:])
+    inner *= inner > np.maximum(_MIN_CONTRAST, _MIN_TEXTURE_RATIO * texture)
+    np.maximum(inner[0], inner[1], out=response[:, reach:-reach])
     return response
 
 
-def _peaks(response: Float32Array, reach: int) -> BoolArray:
+def _peaks(response: FloatArray32, reach: int) -> BoolArray:
     """(H, W) mask of the largest responses within `reach` in each row, the centres of bars."""
     smooth = cv2.blur(response, (max(reach | 1, 3), 1))
     highest = cv2.dilate(smooth, np.ones((1, 2 * reach + 1), np.uint8))

@@ -24,6 +24,7 @@ weight of only a few independent ones. If only one line is visible, the other fo
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,9 +40,8 @@ from track_range.detection.lanes.model import (
 from track_range.foundation.arrays import BoolArray, FloatArray
 
 SIDES = (-1.0, 1.0)  # `side` of the left and the right line in `LaneState`'s methods
-_N_ROUNDS = 4  # of reweighting
-# distance of a line's pixels from it in the first and last round, in lane widths
-_FIRST_GATE, _LAST_GATE = 0.10, 0.03
+# distance of a line's pixels from it in the rounds of reweighting, in lane widths
+_GATES = tuple(np.geomspace(0.10, 0.03, 4).tolist())
 _TUKEY = 4.0  # residual in sigmas above which pixels have no weight (Tukey's constant)
 # in lane widths, of the detected centre of a painted line, which is 0.1 to 0.3 m wide
 _PAINT_SIGMA = 0.01
@@ -70,12 +70,15 @@ def fit_lane(markings: Markings, expected: LaneState, lines: tuple[int, int] = (
     near the line.
     """
     state = expected
-    prior = np.asarray(np.linalg.inv(expected.covariance), np.float64)
-    for gate in np.geomspace(_FIRST_GATE, _LAST_GATE, _N_ROUNDS).tolist():
-        left = _pixels(markings, state, SIDES[0], lines[0], gate)
-        right = _pixels(markings, state, SIDES[1], lines[1], gate)
-        state = _updated(markings, expected, prior, about=state, seen=(left, right))
+    pixels = _Pixels.of(markings, expected, lines)
+    information = np.asarray(np.linalg.inv(expected.covariance), np.float64)
+    prior = information, information @ expected.mean
+    for gate in _GATES:
+        x_of_lines = pixels.rows @ state.mean
+        seen = pixels.seen(x_of_lines, gate)
+        state = pixels.fitted(x_of_lines, seen, prior)
     x, y = markings.xy_px.T
+    left, right = seen
     on_lines, clutter = left | right, 0.0
     if on_lines.any():
         across = (x - state.x_px(y, SIDES[0])) / np.maximum(state.width_px(y), 1.0)
@@ -93,48 +96,59 @@ def fit_lane(markings: Markings, expected: LaneState, lines: tuple[int, int] = (
     return LaneFit(state, (left_px, right_px), clutter)
 
 
-def _pixels(
-    markings: Markings, state: LaneState, side: float, number: int, gate: float
-) -> BoolArray:
-    """(N,) mask of the markings that belong to a line; none if there are too few."""
-    x, y = markings.xy_px.T
-    width_px = state.width_px(y)
-    off_px = np.abs(x - state.x_px(y, side))
-    is_on_line = (width_px > 0) & (off_px < gate * width_px + 2 * markings.sigma_px)
-    if number >= 0:
-        is_on_line &= markings.line == number
-    is_visible = (
-        is_on_line.sum() >= _MIN_PIXELS and np.ptp(y[is_on_line]) >= _MIN_SPAN * state.image_hw[0]
-    )
-    return np.asarray(is_on_line & is_visible)
+class _Pixels(NamedTuple):
+    """N markings as pixels of the left and of the right line."""
 
+    x: FloatArray  # (N,)
+    y: FloatArray  # (N,)
+    # (2, N, 5) derivatives of the x of each line with respect to the state in their rows
+    rows: FloatArray
+    is_candidate: BoolArray  # (2, N) which may belong to each line
+    sigma_px: float
+    image_hw: tuple[int, int]
 
-def _updated(
-    markings: Markings,
-    expected: LaneState,
-    prior: FloatArray,
-    *,
-    about: LaneState,
-    seen: tuple[BoolArray, BoolArray],
-) -> LaneState:
-    """One iteration: the state from the prior (information `prior`) and pixels weighted by
-    residuals at `about`.
-    """
-    information = prior
-    pull = information @ expected.mean
-    for side, is_on_line in zip(SIDES, seen, strict=True):
-        if not is_on_line.any():
-            continue
-        x, y = markings.xy_px[is_on_line].T
-        rows = about.rows(y, side)
-        sigma_px = np.hypot(markings.sigma_px, _PAINT_SIGMA * about.width_px(y))
-        residual = (x - rows @ about.mean) / sigma_px
-        fraction = min(1.0, _MAX_INDEPENDENT / is_on_line.sum())
-        weight = np.maximum(1 - (residual / _TUKEY) ** 2, 0.0) ** 2 / sigma_px**2 * fraction
-        information = information + (rows * weight[:, None]).T @ rows
-        pull = pull + rows.T @ (weight * x)
-    covariance = np.asarray(np.linalg.inv(information), np.float64)
-    return LaneState(covariance @ pull, covariance, expected.image_hw)
+    @classmethod
+    def of(cls, markings: Markings, expected: LaneState, lines: tuple[int, int]) -> "_Pixels":
+        """The markings with the numbers `lines` in an image of the expected lane; -1 = all."""
+        x, y = markings.xy_px.T.copy()
+        rows = np.stack([expected.rows(y, side) for side in SIDES])
+        number = np.array(lines)[:, None]
+        is_candidate = (number < 0) | (markings.line == number)
+        return cls(x, y, rows, is_candidate, markings.sigma_px, expected.image_hw)
+
+    def seen(self, x_of_lines: FloatArray, gate: float) -> BoolArray:
+        """(2, N) masks of the markings that belong to each line; none if there are too few.
+
+        `x_of_lines` (2, N) are the lines in the rows of the markings.
+        """
+        width_px = x_of_lines[1] - x_of_lines[0]
+        reach_px = np.where(width_px > 0, gate * width_px + 2 * self.sigma_px, 0.0)
+        is_on_line = np.abs(self.x - x_of_lines) < reach_px
+        is_on_line &= self.is_candidate
+        for is_seen in is_on_line:
+            y = self.y[is_seen]
+            if len(y) < _MIN_PIXELS or y.max() - y.min() < _MIN_SPAN * self.image_hw[0]:
+                is_seen[:] = False
+        return np.asarray(is_on_line)
+
+    def fitted(
+        self, x_of_lines: FloatArray, seen: BoolArray, prior: tuple[FloatArray, FloatArray]
+    ) -> LaneState:
+        """One iteration: the state from the prior, as information (5, 5) and its product with the
+        mean, and the markings `seen` (2, N), weighted by their distances from lines (2, N).
+        """
+        information, pull = prior
+        width_px = x_of_lines[1] - x_of_lines[0]
+        variance_px2 = self.sigma_px**2 + (_PAINT_SIGMA * width_px) ** 2
+        residual2 = (self.x - x_of_lines) ** 2 / variance_px2
+        n_seen = np.maximum(np.count_nonzero(seen, axis=1), 1)
+        fraction = np.minimum(1.0, _MAX_INDEPENDENT / n_seen)[:, None]
+        weight = np.maximum(1 - residual2 / _TUKEY**2, 0.0) ** 2 / variance_px2 * (fraction * seen)
+        weighted = self.rows.reshape(-1, 5).T * weight.ravel()
+        information = information + weighted @ self.rows.reshape(-1, 5)
+        pull = pull + weighted @ np.concatenate([self.x, self.x])
+        covariance = np.asarray(np.linalg.inv(information), np.float64)
+        return LaneState(covariance @ pull, covariance, self.image_hw)
 
 
 _MAX_UNSEEN_S = 0.5  # after which a line without observations is no longer reported

@@ -84,13 +84,12 @@ def run_middles(is_marked: BoolArray, *, widest_px: float = np.inf) -> tuple[Int
     """Row and centre column of each run of marked pixels in a mask (h, w), without runs wider than
     `widest_px`.
     """
-    padded = np.zeros((len(is_marked), is_marked.shape[1] + 2), np.int8)
+    padded = np.zeros((len(is_marked), is_marked.shape[1] + 2), np.bool_)
     padded[:, 1:-1] = is_marked
-    step = np.diff(padded, axis=1)
-    row, first = np.nonzero(step == 1)
-    last = np.nonzero(step == -1)[1] - 1
+    row, column = np.nonzero(padded[:, 1:] != padded[:, :-1])  # where runs begin and end, in turn
+    first, last = column[::2], column[1::2] - 1
     is_narrow = last - first < widest_px
-    return row[is_narrow].astype(np.int64), ((first + last) / 2)[is_narrow]
+    return row[::2][is_narrow].astype(np.int64), ((first + last) / 2)[is_narrow]
 
 
 def _numbered_lines(markings: Markings) -> tuple[FloatArray, FloatArray, IntArray]:

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
@@ -29,13 +30,14 @@ def cauchy_fit(
     has half the weight. The standard deviation is that of the residuals (MAD), at least
     `least_scale`.
     """
-    weight = np.ones(len(values))
-    ridge = 1e-6 * len(values) * np.eye(design.shape[1])
+    terms = np.ascontiguousarray(design.T)  # (P, N)
+    weighted = terms
+    ridge = 1e-6 * len(values) * np.eye(len(terms))
     for _ in range(n_rounds):
-        information = (design * weight[:, None]).T @ design + ridge
-        solution = np.linalg.solve(information, design.T @ (weight * values))
-        residual = values - design @ solution
+        information = weighted @ terms.T + ridge
+        solution = cv2.solve(information, (weighted @ values)[:, None])[1][:, 0]
+        residual = values - solution @ terms
         scale = max(mad_sigma(residual), least_scale)
-        weight = 1 / (1 + (residual / (2 * scale)) ** 2)
+        weighted = terms / (1 + (residual / (2 * scale)) ** 2)
     covariance = np.asarray(np.linalg.inv(information) * scale**2, np.float64)
     return CauchyFit(np.asarray(solution, np.float64), covariance, residual)

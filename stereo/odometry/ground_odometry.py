@@ -467,13 +467,17 @@ def _strip_correlations(
     NaN = outside the picture.
     """
     top = np.arange(0, len(before) - _N_STRIP + 1, _N_STRIP // 2)
-    strips, windows = _windows(before)[top], _windows(now)
-    strips -= strips.mean(axis=1, keepdims=True)
+    strips, windows = _windows(before, _N_STRIP // 2), _windows(now)
+    strips = strips - strips.mean(axis=1, keepdims=True)
     spread = np.sqrt((strips * strips).sum(axis=1))
     is_used = spread >= _MIN_STRIP_GREY * math.sqrt(strips.shape[1])
-    is_used &= _windows(masked_fraction[:, None])[top].mean(axis=1) <= _MAX_MASKED_FRACTION
+    masked = _windows(masked_fraction[:, None], _N_STRIP // 2)
+    is_used &= masked.mean(axis=1) <= _MAX_MASKED_FRACTION
     top, strips = top[is_used], strips[is_used] / spread[is_used, None]
-    deviation2 = (windows * windows).sum(axis=1) - windows.shape[1] * windows.mean(axis=1) ** 2
+    sums, squares = np.cumsum(
+        [now.sum(axis=1, dtype=np.float64), (now * now).sum(axis=1, dtype=np.float64)], axis=1
+    )
+    deviation2 = _moved_sums(squares) - _moved_sums(sums) ** 2 / windows.shape[1]
     likeness = (strips @ windows.T) / np.sqrt(np.maximum(deviation2, _MIN_DEVIATION2))
     nearer = top[:, None] + np.arange(n_shifts)  # first rows of the windows
     last = windows.shape[0] - 1
@@ -482,10 +486,21 @@ def _strip_correlations(
     return _STEP_Z_M * (top + (_N_STRIP - 1) / 2), scores
 
 
-def _windows(picture: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """(H - 19, 20 W) values of the parts of a picture (H, W) that are as long as a strip."""
-    parts = sliding_window_view(picture, _N_STRIP, axis=0)
+def _windows(picture: npt.NDArray[Any], step: int = 1) -> npt.NDArray[Any]:
+    """(K, 20 W) values of the parts of a picture (H, W) that are as long as a strip, `step` rows
+    apart.
+    """
+    parts = sliding_window_view(picture, _N_STRIP, axis=0)[::step]
     return parts.reshape(len(parts), -1)
+
+
+def _moved_sums(cumulative: FloatArray) -> FloatArray:
+    """(H - 19,) sums over the rows of each part that is as long as a strip, from cumulative sums
+    (H,).
+    """
+    sums = cumulative[_N_STRIP - 1 :].copy()
+    sums[1:] -= cumulative[:-_N_STRIP]
+    return sums
 
 
 def _best_shift(scores: FloatArray) -> float | None:

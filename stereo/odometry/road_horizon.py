@@ -53,6 +53,8 @@ _ROLL_S = 0.5
 # standard deviation of a car's roll against the lanes beside it, by springs and crowns of roads
 _ROLL_RAD = 0.01
 _Y, _K, _R, _Q = 0, 2, 4, 5  # indices of y, k, r and q in the state
+_TRAVEL = np.eye(3)  # the axes of travel
+_SPRINGS = np.array([1.0, -1.0, 0.0, 0.0, 0.0, 0.0])  # y - m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,27 +112,32 @@ class RoadHorizon:
     @property
     def view(self) -> RoadView:
         """The road in the last frame, in the axes of travel."""
-        return self.seen(np.eye(3))
+        return self.seen(_TRAVEL)
 
     def seen(self, travel_from_camera: FloatArray) -> RoadView:
         """The road in the last frame in the axes of a camera, from which the rotation (3, 3) leads to
         the axes of travel.
         """
-        right, down, forward = travel_from_camera
+        right, down, forward = travel_from_camera.tolist()
+        y, roll = float(self._x[_Y]), float(self._x[_R])
         # normal n of the road, and the horizon: n . (x, horizon + slope x, 1) = 0
-        n = down - self._x[_Y] * forward + self._x[_R] * right
-        horizon, slope = -n[2] / n[1], -n[0] / n[1]
-        by_state = np.zeros(6)  # derivatives of the horizon
-        by_state[[_Y, _R]] = np.array([forward, -right])[:, 1:] @ [horizon, 1.0] / n[1]
+        n_x, n_y, n_z = (d - y * f + roll * r for r, d, f in zip(right, down, forward, strict=True))
+        horizon, slope = -n_z / n_y, -n_x / n_y
+        # derivatives of the horizon by y and r
+        by_y = (forward[1] * horizon + forward[2]) / n_y
+        by_roll = -(right[1] * horizon + right[2]) / n_y
         along = forward[2] ** 2  # curvature along the axis
+        P = self._P.tolist()
         return RoadView(
-            horizon=float(horizon),
-            horizon_variance=float(by_state @ self._P @ by_state),
-            slope=float(slope),
-            across=(float(right[0]), float(right[2])),
-            curvature_per_m=float(along * self._x[_K]),
-            curvature_variance=float(along**2 * self._P[_K, _K]),
-            covariance=float(along * by_state @ self._P[_K]),
+            horizon=horizon,
+            horizon_variance=by_y**2 * P[_Y][_Y]
+            + 2 * by_y * by_roll * P[_Y][_R]
+            + by_roll**2 * P[_R][_R],
+            slope=slope,
+            across=(right[0], right[2]),
+            curvature_per_m=along * float(self._x[_K]),
+            curvature_variance=along**2 * P[_K][_K],
+            covariance=along * (by_y * P[_Y][_K] + by_roll * P[_R][_K]),
         )
 
     def predict(
@@ -154,17 +161,14 @@ class RoadHorizon:
         curvature_noise = _CURVATURE_PER_M**2 * (1 - stays**2)
         roll_noise = _ROLL_RAD**2 * (1 - stays_rolled**2)
         self._x = F @ self._x
-        self._P = F @ self._P @ F.T + np.diag(
-            [pitch_noise, drift, curvature_noise, 0.0, roll_noise, drift]
-        )
+        self._P = F @ self._P @ F.T
+        self._P.flat[::7] += pitch_noise, drift, curvature_noise, 0.0, roll_noise, drift
         if is_known:
             self._x[_Y] += pitch_rad
         if math.isfinite(roll_rad):
             self._x[_R] += stays_rolled * roll_rad
         frames_per_pitch = max(2 * _SPRINGS_S / dt_s, 1.0)
-        self._update(
-            np.array([1.0, -1.0, 0.0, 0.0, 0.0, 0.0]), 0.0, _SPRINGS_RAD**2 * frames_per_pitch
-        )
+        self._update(_SPRINGS, 0.0, _SPRINGS_RAD**2 * frames_per_pitch)
 
     def measure(
         self,
@@ -203,5 +207,5 @@ class RoadHorizon:
         if abs(innovation) > max_sigma * math.sqrt(S):
             return False
         self._x = self._x + Ph * (innovation / S)
-        self._P = self._P - np.outer(Ph, Ph) / S
+        self._P = self._P - Ph[:, None] * (Ph / S)
         return True

@@ -22,9 +22,6 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-import numpy as np
-
-from track_range.foundation.arrays import FloatArray
 from track_range.stereo.odometry.ego_motion import PREDICTED_NOISE
 
 # T, and s with which a predicted speed is as uncertain as anywhere else; three s are hard braking.
@@ -49,31 +46,50 @@ _REST_MPS = 0.3  # largest speed of a camera that images show at rest
 
 
 class _State(NamedTuple):
-    """Speed and acceleration (2,) at a time, and their covariance (2, 2)."""
+    """Speed V and acceleration a at a time, and their covariance P; plain numbers, since arrays of
+    two take twenty times as long.
+    """
 
     time_s: float
-    mean: FloatArray
-    P: FloatArray
+    speed_mps: float
+    acceleration_mps2: float
+    P_VV: float
+    P_Va: float
+    P_aa: float
 
     def predicted(self, time_s: float) -> "_State":
-        """The state at a later time."""
+        """The state at a later time: F = [[1, T (1 - e)], [0, e]]."""
         s2, T = _ACCELERATION_MPS2**2, _ACCELERATION_S
         dt_s = time_s - self.time_s
         e = math.exp(-dt_s / T)
-        F = np.array([[1.0, T * (1 - e)], [0.0, e]])
+        b = T * (1 - e)
         Q_VV, Q_Va, Q_aa = T**2 * (2 * dt_s / T - 3 + 4 * e - e**2), T * (1 - e) ** 2, 1 - e**2
-        Q = s2 * np.array([[Q_VV, Q_Va], [Q_Va, Q_aa]])
-        return _State(time_s, F @ self.mean, F @ self.P @ F.T + Q)
+        return _State(
+            time_s,
+            self.speed_mps + b * self.acceleration_mps2,
+            e * self.acceleration_mps2,
+            self.P_VV + 2 * b * self.P_Va + b**2 * self.P_aa + s2 * Q_VV,
+            e * (self.P_Va + b * self.P_aa) + s2 * Q_Va,
+            e**2 * self.P_aa + s2 * Q_aa,
+        )
 
-    def updated(self, speed_mps: float, gain: FloatArray) -> "_State":
-        """The state after a measurement of the speed with a gain (2,)."""
-        mean = self.mean + gain * (speed_mps - self.mean[0])
-        return self._replace(mean=mean, P=self.P - np.outer(gain, self.P[0]))
+    def updated(self, speed_mps: float, variance: float) -> "_State":
+        """The state after a measurement of the speed."""
+        gain_V, gain_a = self.P_VV / (self.P_VV + variance), self.P_Va / (self.P_VV + variance)
+        innovation_mps = speed_mps - self.speed_mps
+        return _State(
+            self.time_s,
+            self.speed_mps + gain_V * innovation_mps,
+            self.acceleration_mps2 + gain_a * innovation_mps,
+            self.P_VV - gain_V * self.P_VV,
+            self.P_Va - gain_V * self.P_Va,
+            self.P_aa - gain_a * self.P_Va,
+        )
 
     @property
     def sigma_mps(self) -> float:
         """Standard deviation of the speed."""
-        return math.sqrt(float(self.P[0, 0]))
+        return math.sqrt(self.P_VV)
 
 
 class SpeedFilter:
@@ -112,11 +128,11 @@ class SpeedFilter:
             self._measured_s = middle_s
         if self._state is None or middle_s - self._measured_s > MAX_PREDICTED_S:
             return math.nan, math.nan
-        if self._n_agreed < 2 and abs(self._state.mean[0] * dt_s) > _LARGE_STEP_M:
+        if self._n_agreed < 2 and abs(self._state.speed_mps * dt_s) > _LARGE_STEP_M:
             return math.nan, math.nan
         now = self._state.predicted(time_s)
         self.noise_mps = now.sigma_mps
-        return float(now.mean[0]), math.hypot(self.noise_mps, self._systematic_mps)
+        return now.speed_mps, math.hypot(self.noise_mps, self._systematic_mps)
 
     def expects(
         self, middle_s: float, speed_mps: float, sigma_mps: float, systematic_mps: float
@@ -134,7 +150,7 @@ class SpeedFilter:
         braked_mps = _BRAKING_MPS2 * min(since_s, _ONSET_S)
         other_mps = math.sqrt(abs(systematic_mps**2 - self._systematic_mps**2))
         limit_mps = n_sigma * math.hypot(state.sigma_mps, sigma_mps, other_mps) + braked_mps
-        return abs(speed_mps - float(state.mean[0])) <= limit_mps
+        return abs(speed_mps - state.speed_mps) <= limit_mps
 
     def is_rest(self, speed: tuple[float, float], *, shows_rest: bool) -> bool:
         """Whether images of a camera at rest agree with a speed of `update`; False if unknown."""
@@ -168,8 +184,9 @@ class SpeedFilter:
     def _start(
         self, middle_s: float, speed_mps: float, sigma_mps: float, systematic_mps: float
     ) -> None:
-        P = np.diag([sigma_mps**2, _INITIAL_ACCELERATION_MPS2**2])
-        self._state = _State(middle_s, np.array([speed_mps, 0.0]), P)
+        self._state = _State(
+            middle_s, speed_mps, 0.0, sigma_mps**2, 0.0, _INITIAL_ACCELERATION_MPS2**2
+        )
         self._systematic_mps = systematic_mps
         self._latest = deque([(middle_s, speed_mps, sigma_mps)], 2)
         self._n_agreed, self._n_outliers = 1, 0
@@ -179,11 +196,12 @@ class SpeedFilter:
     ) -> None:
         """Update the state, whose systematic error becomes that of the measurements."""
         other2 = systematic_mps**2 - self._systematic_mps**2
-        P = state.P + np.diag([max(-other2, 0.0), 0.0])
-        gain = P[:, 0] / (P[0, 0] + sigma_mps**2 + max(other2, 0.0))
+        wider = state._replace(P_VV=state.P_VV + max(-other2, 0.0))
+        variance = sigma_mps**2 + max(other2, 0.0)
+        gain = wider.P_VV / (wider.P_VV + variance)
         own_mps = min(self._systematic_mps, systematic_mps)
-        self._systematic_mps = own_mps + float(gain[0]) * (systematic_mps - own_mps)
-        self._state = state._replace(P=P).updated(speed_mps, gain)
+        self._systematic_mps = own_mps + gain * (systematic_mps - own_mps)
+        self._state = wider.updated(speed_mps, variance)
 
     def _spread2_of(self, middle_s: float, speed_mps: float, sigma_mps: float) -> float:
         """Ratio of the variance of the measurements to the expected one, by the distance of the

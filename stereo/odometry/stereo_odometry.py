@@ -73,6 +73,10 @@ _NOISE_PX = 0.15  # standard deviation of a corner tracked over time; larger res
 # Standard deviation of a disparity; with both and an exact alignment, the rms error of the speed on
 # simulated drives is 0.7 (seeds 0-9) and 0.6 (20-29) of its sigma.
 _DISPARITY_NOISE_PX = 0.15
+# frames between two with block matching, in which corners begin at the disparities of static
+# points, and the smallest fraction of these that the right image shows in them
+_N_NEARBY, _WELL_SHOWN = 3, 0.7
+_NEARBY_PX = 16.0  # largest distance of a corner from a static point with about its disparity
 _MAX_ROW_PX = 0.75  # largest difference of rows between left and right
 _MIN_DISPARITY_PX = 0.5
 _NEAREST_M = 3.2  # nearest point of the scene; sets the largest disparity
@@ -143,6 +147,22 @@ class _Tracked(NamedTuple):
         return number, self.disparity_px[number]
 
 
+class _Static(NamedTuple):
+    """N static points that were tracked to a frame, in small pixels."""
+
+    number: IntArray  # (N,) numbers of the tracked points
+    points: FloatArray32  # (N, 2)
+    disparity_px: FloatArray  # (N,) in the corrected right image, by the motion
+
+    def nearby_px(self, corners: FloatArray32) -> FloatArray:
+        """(M,) disparities of the nearest points of corners (M, 2); NaN = too far."""
+        x, y = self.points.T
+        distance2 = (corners[:, :1] - x) ** 2 + (corners[:, 1:] - y) ** 2
+        nearest = distance2.argmin(axis=1)
+        is_near = distance2[np.arange(len(corners)), nearest] <= _NEARBY_PX**2
+        return np.where(is_near, self.disparity_px[nearest], np.nan)
+
+
 class _Matches(NamedTuple):
     """N points of a frame in both images, in small pixels."""
 
@@ -189,6 +209,7 @@ class StereoOdometry:
         self._coarse = cv2.StereoBM.create(self._n_disparities, _BLOCK_PX)
         self._coarse.setTextureThreshold(5)
         self._coarse.setUniquenessRatio(5)
+        self._n_nearby = 0  # frames since its last use
         self._before: _View | None = None
         self._right, self._realignment = RightCameraMonitor(rig), Realignment(rig, background)
         self._vibration = Vibration()
@@ -321,36 +342,26 @@ class StereoOdometry:
         """Corners of the left image, and static points tracked to it, that are also found in the
         right image.
         """
-        corners = _corners(frame)
+        corners, static = _corners(frame), self._static(tracked, alignment)
+        n_static = len(static.number)
+        is_known = tracked is not None and tracked.is_usual and n_static >= _MIN_FEATURES
+        if is_known and self._n_nearby < _N_NEARBY:
+            matches = _matched((frame.small, right), corners, static.nearby_px(corners), static)
+            n_shown = np.count_nonzero(~matches.is_corner)
+            if n_shown >= _WELL_SHOWN * n_static:
+                self._n_nearby += 1
+                return matches
+        self._n_nearby = 0
         coarse_px = self._coarse_disparities(frame.small, right, corners)
-        corner = np.flatnonzero(np.isfinite(coarse_px))
-        corners, start_px = corners[corner], coarse_px[corner]
-        expected_px = np.full(len(corner), np.nan)
-        number = np.full(len(corner), -1)
-        if tracked is not None:
-            static, disparity_px = tracked.static
-            points, number = tracked.points[static], np.concatenate([number, static])
-            corner = np.concatenate([corner, np.full(len(static), -1)])
-            measured_px = disparity_px - self._correction_px(points, alignment)
-            corners = np.concatenate([corners, points])
-            start_px = np.concatenate([start_px, measured_px])
-            expected_px = np.concatenate([expected_px, measured_px])
-        start = corners - np.stack([start_px, np.zeros(len(corners))], axis=1).astype(np.float32)
-        matches, is_matched = tracked_corners(
-            frame.small, right, corners, window_px=_WINDOW_PX, n_levels=1, start=start
-        )
-        disparity_px, row_px = (corners - matches).astype(np.float64).T
-        centre_px = float(median_of(row_px[is_matched])) if is_matched.any() else 0.0
-        if abs(centre_px) < _MAX_ROW_PX / 2:
-            centre_px = 0.0
-        is_matched &= np.abs(row_px - centre_px) <= _MAX_ROW_PX
-        return _Matches(
-            corners[is_matched],
-            matches[is_matched],
-            expected_px[is_matched],
-            number[is_matched],
-            corner[is_matched],
-        )
+        return _matched((frame.small, right), corners, coarse_px, static)
+
+    def _static(self, tracked: _Tracked | None, alignment: Alignment) -> _Static:
+        """The static points that were tracked to a frame with an alignment."""
+        if tracked is None:
+            return _Static(np.zeros(0, np.int64), np.zeros((0, 2), np.float32), np.zeros(0))
+        number, disparity_px = tracked.static
+        points = tracked.points[number]
+        return _Static(number, points, disparity_px - self._correction_px(points, alignment))
 
     def _zoom(self, matches: _Matches, tracked: _Tracked) -> float:
         """Relative change of the focal length of both cameras that the points show; 0 = none, or
@@ -522,3 +533,36 @@ class StereoOdometry:
 def _corners(frame: FlowFrame) -> FloatArray32:
     """(N, 2) best corners of a frame."""
     return frame.corners.points[: frame.corners.n_good(_N_FEATURES, _MIN_QUALITY)]
+
+
+def _matched(
+    images: tuple[Image, Image], corners: FloatArray32, start_px: FloatArray, static: _Static
+) -> _Matches:
+    """The corners (N, 2) and static points of the left one of two small images that are also found
+    in the right one; the search of corners begins at disparities (N,), NaN = none.
+    """
+    corner = np.flatnonzero(np.isfinite(start_px))
+    n_corners, n_static = len(corner), len(static.number)
+    left = np.concatenate([corners[corner], static.points])
+    disparity_px = np.concatenate([start_px[corner], static.disparity_px])
+    expected_px = disparity_px.copy()
+    expected_px[:n_corners] = np.nan
+    corner = np.concatenate([corner, np.full(n_static, -1)])
+    number = np.concatenate([np.full(n_corners, -1), static.number])
+    start = left.copy()
+    start[:, 0] -= disparity_px.astype(np.float32)
+    right, is_matched = tracked_corners(
+        *images, left, window_px=_WINDOW_PX, n_levels=1, start=start
+    )
+    row_px = (left[:, 1] - right[:, 1]).astype(np.float64)
+    centre_px = float(median_of(row_px[is_matched])) if is_matched.any() else 0.0
+    if abs(centre_px) < _MAX_ROW_PX / 2:
+        centre_px = 0.0
+    is_matched &= np.abs(row_px - centre_px) <= _MAX_ROW_PX
+    return _Matches(
+        left[is_matched],
+        right[is_matched],
+        expected_px[is_matched],
+        number[is_matched],
+        corner[is_matched],
+    )

@@ -23,6 +23,8 @@ _FIRM, _LOOSE, _HIT_PX = 0.005, 0.4, 5.0
 _NEXT = np.array(
     [[1 - 1.1e-3, 1e-3, 1e-4], [0.01, 0.989, 1e-3], [0.7, 0.29, 0.01]],
 )
+_IS_HIT = np.array([False, False, True])  # which motion is a hit
+_H = np.ones(3)  # a value is x + b + c
 _LASTING_S = 1.0  # time constant of lasting errors
 _MIN_STEP_SIGMAS = 4.0  # of a step that noise does not explain
 _UNKNOWN = 1e12  # variance of a value that was not measured
@@ -63,7 +65,7 @@ class ChangeFilter:
         known = np.where(has_step, step[:, None], 0.0)
         step_variance = np.where(has_step, step_sigma[:, None] ** 2, _UNKNOWN)
         is_small = known**2 < _MIN_STEP_SIGMAS**2 * step_variance
-        is_told = has_step & (~is_small | np.array([False, False, True]))
+        is_told = has_step & (~is_small | _IS_HIT)
         noise = np.where(is_told, step_variance, _UNKNOWN)
         gain = variance / (variance + noise)
         self._mean[:, :, 0] += gain * known
@@ -82,13 +84,12 @@ class ChangeFilter:
         """Use values (K,) of the frame with their standard deviations; NaN = not measured."""
         has_value = np.isfinite(value)[:, None]
         noise = np.where(has_value, sigma[:, None] ** 2, _UNKNOWN)
-        S = self._covariance.sum(axis=(2, 3)) + noise
-        innovation = np.where(has_value, value[:, None] - self._mean.sum(axis=2), 0.0)
-        projected = self._covariance.sum(axis=3)  # (K, 3, 3) P H'
-        self._mean += projected * (innovation / S)[:, :, None]
-        self._covariance -= (
-            projected[:, :, :, None] * projected[:, :, None, :] / S[:, :, None, None]
-        )
+        projected = self._covariance @ _H  # (K, 3, 3) P H'
+        S = projected @ _H + noise
+        innovation = np.where(has_value, value[:, None] - self._mean @ _H, 0.0)
+        gain = projected / S[:, :, None]
+        self._mean += gain * innovation[:, :, None]
+        self._covariance -= gain[:, :, :, None] * projected[:, :, None, :]
         self._weigh(np.where(has_value, _log_normal(innovation, S), 0.0))
 
     def _weigh(self, log_likelihood: FloatArray) -> None:
@@ -116,17 +117,22 @@ class ChangeFilter:
 
     def _mixed(self) -> FloatArray:
         """Mix the states by the probabilities of the motions, which are returned: (K, 3)."""
-        joint = self._weight[:, :, None] * _NEXT[None]  # (K, from, to)
-        predicted = np.asarray(joint.sum(axis=1))
-        share = joint / np.maximum(predicted, 1e-300)[:, None, :]
-        mean = np.einsum("kft,kfs->kts", share, self._mean)
-        apart = self._mean[:, :, None] - mean[:, None]  # (K, from, to, 3)
-        spread = self._covariance[:, :, None] + apart[..., :, None] * apart[..., None, :]
-        self._covariance = np.einsum("kft,kftij->ktij", share, spread)
-        self._mean = mean
+        predicted = self._weight @ _NEXT
+        joint = self._weight[:, None, :] * _NEXT.T  # (K, to, from)
+        share = joint / np.maximum(predicted, 1e-300)[:, :, None]
+        # means of the states, and of their squares
+        square = self._covariance + _squared(self._mean)
+        n_values = len(square)
+        self._mean = share @ self._mean
+        mean_square = (share @ square.reshape(n_values, 3, 9)).reshape(n_values, 3, 3, 3)
+        self._covariance = mean_square - _squared(self._mean)
         return predicted
 
 
+def _squared(mean: FloatArray) -> FloatArray:
+    """(K, 3, 3, 3) outer products of states (K, 3, 3) with themselves."""
+    return np.asarray(mean[:, :, :, None] * mean[:, :, None, :])
+
+
 def _log_normal(value: FloatArray, variance: FloatArray) -> FloatArray:
-    with np.errstate(invalid="ignore"):
-        return np.asarray(-0.5 * (value**2 / variance + np.log(2 * math.pi * variance)))
+    return np.asarray(-0.5 * (value**2 / variance + np.log(2 * math.pi * variance)))

@@ -58,17 +58,10 @@ def masked_cells(xyxy_px: FloatArray, grey_hw: Sequence[int], n_halved: int) -> 
     is_valid = np.isfinite(xyxy_px).all(axis=1) & (xyxy_px[:, 2:] > xyxy_px[:, :2]).all(axis=1)
     cells = (xyxy_px[is_valid] + 0.5) / (_CELL_PX << n_halved)
     cells = np.clip(cells, 0, [n_columns, n_rows, n_columns, n_rows])
-    left, top = np.floor(cells[:, :2]).astype(np.int64).T
-    right, bottom = np.ceil(cells[:, 2:]).astype(np.int64).T
-    steps = np.zeros((n_rows + 1, n_columns + 1), np.int64)
-    for row, column, step in (
-        (top, left, 1),
-        (top, right, -1),
-        (bottom, left, -1),
-        (bottom, right, 1),
-    ):
-        np.add.at(steps, (row, column), step)
-    return np.asarray(steps.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0)
+    is_masked = np.zeros((n_rows, n_columns), np.bool_)
+    for left, top, right, bottom in cells.tolist():
+        is_masked[int(top) : math.ceil(bottom), int(left) : math.ceil(right)] = True
+    return is_masked
 
 
 def are_masked(points: FloatArray | FloatArray32, is_masked: BoolArray) -> BoolArray:
