@@ -79,7 +79,7 @@ def paint_points(image: Image, horizon_px: float) -> FloatArray:
     first = _first_row(horizon_px, len(image))
     both = cv2.transform(np.asarray(image[first::_ROW_STEP], np.float32), _GREY_AND_YELLOW)
     # (2, K, W), smoothed along the rows
-    channels = np.array(cv2.split(cv2.blur(both, (3, 1))))
+    channels = np.array(cv2.split(cv2.blur(both, (3, 1))), np.float32)
     n_rows = channels.shape[1]
     is_peak = np.zeros(channels.shape[1:], np.bool_)
     size, n_larger = divmod(n_rows, _N_BANDS)
@@ -102,7 +102,7 @@ def _bars(channels: FloatArray32, reach: int) -> FloatArray32:
     """(H, W) largest difference of each pixel in channels (2, H, W) from the brighter of its
     neighbours at `reach` pixels; 0 below a threshold.
     """
-    response = np.zeros_like(channels[0])
+    response: FloatArray32 = np.zeros(channels.shape[1:], np.float32)
     if channels.shape[2] <= 2 * reach:
         return response
     step = channels[..., reach:] - channels[..., :-reach]

@@ -118,7 +118,7 @@ def _refined(points: _Points, motion: RigidMotion) -> _Refined:
     for _ in range(_N_ROUNDS):
         equations = points.equations(motion)
         gradient = equations.gradient[:6]
-        inverse = np.linalg.inv(equations.information[:6, :6])
+        inverse = np.asarray(np.linalg.inv(equations.information[:6, :6]), np.float64)
         step = np.asarray(-inverse @ gradient, np.float64)
         motion = motion.moved_by(step)
         if -float(step @ gradient) < _SMALL_STEP2 * equations.spread2:

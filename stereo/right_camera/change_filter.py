@@ -126,7 +126,7 @@ class ChangeFilter:
         self._mean = share @ self._mean
         mean_square = (share @ square.reshape(n_values, 3, 9)).reshape(n_values, 3, 3, 3)
         self._covariance = mean_square - _squared(self._mean)
-        return predicted
+        return np.asarray(predicted)
 
 
 def _squared(mean: FloatArray) -> FloatArray:
