@@ -31,6 +31,7 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
 _HEIGHT_M = np.array([1.7, 1.7, 1.5, 1.5, 3.0, 3.0, 0.9, 0.7])  # typical height by road class
+_LOG_SIZE = np.log(np.stack([WIDTH_M, _HEIGHT_M], axis=1))  # (road classes, 2)
 # relative standard deviation of sizes in a class: step where a box begins to count by height only
 _SIZE_SIGMA = 0.15
 # largest fraction of the width that may be an object's side; it grows faster than the object
@@ -87,8 +88,10 @@ class ExpansionRanger(Ranger):
             ),
         )[""]
         is_known = filtered.ttc_sigma_s < _MAX_SIGMA * filtered.ttc_s
-        details = {"ttc_s": filtered.ttc_s, "ttc_sigma_s": filtered.ttc_sigma_s}
-        details = {name: np.where(is_known, values, np.nan) for name, values in details.items()}
+        details = {
+            "ttc_s": np.where(is_known, filtered.ttc_s, np.nan),
+            "ttc_sigma_s": np.where(is_known, filtered.ttc_sigma_s, np.nan),
+        }
         nan = np.full(len(tracks), np.nan)
         return Ranges(tracks.track_id, nan, nan, details=details, growth=growth)
 
@@ -98,26 +101,25 @@ class ExpansionRanger(Ranger):
         """
         camera, class_id = self._camera, tracks.class_id
         x1, y1, x2, y2 = tracks.xyxy_px.T
-        size_px = np.stack([x2 - x1, y2 - y1], axis=1)
-        height_px = camera.height_px if camera.height_px > 0 else np.inf
-        is_usable = tracks.observed & (size_px.min(axis=1) >= _MIN_HEIGHT_PX)
-        is_usable &= (y1 >= BORDER_PX - 0.5) & (y2 <= height_px - 0.5 - BORDER_PX)
-        side = side_fraction(camera, (x1 + x2) / 2, class_id)
-        uses_width = _RIGID[class_id] & (side < _MAX_SIDE) & ~sides_cut(tracks, camera).any(axis=0)
-        edge_sigma = self._noise.sigma_px(size_px, class_id) / size_px  # (N, 2) of width and height
+        size_px = tracks.xyxy_px[:, 2:] - tracks.xyxy_px[:, :2]
+        last_y_px = camera.height_px - 0.5 - BORDER_PX if camera.height_px > 0 else np.inf
+        is_usable = tracks.observed & (np.minimum.reduce(size_px, axis=1) >= _MIN_HEIGHT_PX)
+        is_usable &= (y1 >= BORDER_PX - 0.5) & (y2 <= last_y_px)
+        is_cut_left, is_cut_right = sides_cut(tracks, camera)
+        uses_width = _RIGID[class_id] & ~(is_cut_left | is_cut_right)
+        uses_width &= side_fraction(camera, (x1 + x2) / 2, class_id) < _MAX_SIDE
         n_sides = 1 + uses_width
-        with np.errstate(divide="ignore", invalid="ignore"):
-            over_f = size_px / (camera.fx_px, camera.fy_px)
-            log_m = np.log(np.stack([WIDTH_M[class_id], _HEIGHT_M[class_id]], axis=1) / over_f)
-        log_m[:, 0] *= uses_width
-        edge_sigma[:, 0] *= uses_width
-        distance_m = np.where(is_usable, np.exp(log_m.sum(axis=1) / n_sides), np.nan)
+        # boxes without a size are not usable
+        size_px = np.maximum(size_px, _MIN_HEIGHT_PX)
+        log_m = _LOG_SIZE[class_id] - np.log(size_px / (camera.fx_px, camera.fy_px))
+        log_mean = (uses_width * log_m[:, 0] + log_m[:, 1]) / n_sides
+        distance_m = np.where(is_usable, np.exp(log_mean), np.nan)
+        edges = (self._noise.sigma_px(size_px, class_id) / size_px) ** 2
         # two edges per side
-        independent = np.sqrt(2) * np.linalg.norm(edge_sigma, axis=1) / n_sides
-        sigma = np.hypot(independent, _SIZE_SIGMA)
-        return Ranges(
-            tracks.track_id, distance_m, distance_m * sigma, distance_m * _SIZE_SIGMA
-        ), uses_width.astype(int)
+        by_edges = 2 * (uses_width * edges[:, 0] + edges[:, 1]) / n_sides**2
+        sigma = np.sqrt(by_edges + _SIZE_SIGMA**2)
+        by_size = Ranges(tracks.track_id, distance_m, distance_m * sigma, distance_m * _SIZE_SIGMA)
+        return by_size, uses_width.astype(int)
 
 
 def _create(context: MethodContext) -> Ranger:

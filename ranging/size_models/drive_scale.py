@@ -52,6 +52,10 @@ _N_ROUNDS, _CAUCHY_SIGMA = 3, 2.0
 _MAX_LOG_RATIO = 0.5
 
 
+# information of the priors of a, of c_k and of the lasting error of the references
+_PRIOR = np.diag([KNOWN_REGION_SIGMA**-2, *[CLASS_SIGMA**-2] * len(SIZE_CLASSES), 1.0])
+
+
 class BiasOfClass(NamedTuple):
     """Bias of a class: log of the factor of its distances, and its standard deviation."""
 
@@ -235,7 +239,8 @@ class DriveScale:
         limit = 1.0 / reference_variance[rows]  # errors of a track's references last
         stays = np.minimum(1.0, limit / (information + added))
         others = self._corrections
-        kept = np.flatnonzero((time_s - others.time_s < _OWN_S) & ~np.isin(others.track_id, ids))
+        is_present = (others.track_id[:, None] == ids).any(axis=1)
+        kept = np.flatnonzero((time_s - others.time_s < _OWN_S) & ~is_present)
         new = (
             ids,
             stays * (information + added),
@@ -253,7 +258,6 @@ class DriveScale:
         A = np.zeros((len(m), 1 + n_classes + 1))
         A[:, 0], A[:, -1] = 1.0, tracks.weighted_common / tracks.information
         A[np.arange(len(m)), 1 + tracks.class_id] = 1.0
-        prior = np.diag([KNOWN_REGION_SIGMA**-2, *[CLASS_SIGMA**-2] * n_classes, 1.0])
         of_horizon = 0.0
         log_factor = self.log_factor
         for _ in range(_N_ROUNDS):
@@ -261,7 +265,7 @@ class DriveScale:
                 variance + self.variance[tracks.class_id]
             )
             weight = fresh / variance / (1.0 + residual2 / _CAUCHY_SIGMA**2)
-            covariance = np.linalg.inv(prior + (A.T * weight) @ A)
+            covariance = np.linalg.inv(_PRIOR + (A.T * weight) @ A)
             beta = covariance @ (A.T @ (weight * m))
             log_factor, of_horizon = beta[0] + beta[1:-1], beta[-1]
         with_classes = covariance[:-1, :-1]

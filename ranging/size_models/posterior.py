@@ -98,8 +98,7 @@ def mixture_by_size(
     terms = _all_terms(tables, boxes, body, log_fraction)
     n, m, n_yaws = terms.log_weight.shape
     n_all = m * n_yaws
-    n_others = max(n_all - N_TERMS, 0)
-    best = np.argpartition(terms.log_weight.reshape(n, n_all), n_others, axis=1)[:, n_others:]
+    best = _columns_of_largest(terms.log_weight.reshape(n, n_all), N_TERMS)
     # (N, T) places of the most likely Gaussians in arrays (N, M, K), and in arrays (N, M)
     term = best + np.arange(0, n * n_all, n_all)[:, None]
     pair = term // n_yaws
@@ -126,6 +125,20 @@ def mixture_by_size(
         body=best // n_yaws,
         chi2=np.minimum.reduce(chi2, axis=1),
     )
+
+
+def _columns_of_largest(values: Floats32, n_largest: int) -> IntArray:
+    """(N, L) columns of the largest values (N, K) of each row, in ascending order; values that agree
+    in 23 bits less those of the number of a column count as equal.
+
+    The last bits of the values are replaced by the number of their column: NumPy sorts values four
+    times as fast as it finds the order of values.
+    """
+    n_columns = values.shape[1]
+    mask = (1 << (n_columns - 1).bit_length()) - 1
+    numbered = (values.view(np.int32) & ~mask) | np.arange(n_columns, dtype=np.int32)
+    largest = np.sort(numbered.view(np.float32), axis=1)[:, max(n_columns - n_largest, 0) :]
+    return (largest.view(np.int32) & mask).astype(np.int64)
 
 
 def log_evidence(
@@ -250,13 +263,17 @@ def on_grid(mixture: SizeMixture) -> LogGrid:
     mean = np.vecdot(mixture.weight, mixture.mean)
     variance = np.vecdot(mixture.weight, mixture.variance + (mixture.mean - mean[:, None]) ** 2)
     log_m = mean[:, None] + np.sqrt(variance)[:, None] * _STEPS
-    peak = mixture.weight / np.sqrt(mixture.variance)
-    # Single precision: the exponentials dominate the run time, and take half as long.
-    terms = log_m.astype(np.float32) - mixture.mean.T.astype(np.float32)[:, :, None]
+    # (3, T, N, 1) single precision: the exponentials dominate the run time, and take half as long;
+    # contiguous, so that the terms are, too, and their sum takes a quarter of the time
+    by_term = np.empty((3, *mixture.mean.T.shape, 1), np.float32)
+    by_term[0, :, :, 0] = mixture.mean.T
+    by_term[1, :, :, 0] = (-0.5 / mixture.variance).T
+    by_term[2, :, :, 0] = (mixture.weight / np.sqrt(mixture.variance)).T
+    terms = log_m.astype(np.float32) - by_term[0]
     terms *= terms
-    terms *= (-0.5 / mixture.variance.T).astype(np.float32)[:, :, None]
+    terms *= by_term[1]
     np.exp(terms, out=terms)
-    terms *= peak.T.astype(np.float32)[:, :, None]
+    terms *= by_term[2]
     density = np.add.reduce(terms, axis=0).astype(np.float64)
     return LogGrid(log_m, density, terms)
 
