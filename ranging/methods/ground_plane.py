@@ -166,7 +166,7 @@ class _Plane(NamedTuple):
     P: FloatArray  # (4, 4, ...) covariance
 
     def rows(self, basis: FloatArray) -> FloatArray:
-        """(...) rows of the ground, in px below the expected horizon, from the `_basis` (4, ...) of
+        """(...) rows of the ground, in px below the expected horizon, from the basis (4, ...) of
         their distances.
         """
         return np.asarray(np.add.reduce(basis * self.x, axis=0))
@@ -177,8 +177,7 @@ class _Plane(NamedTuple):
         return np.asarray(np.add.reduce(basis * P_a, axis=0))
 
 
-@dataclass(frozen=True, slots=True)
-class _Contacts:
+class _Contacts(NamedTuple):
     """Contact points of the tracks of one frame, (N,) each."""
 
     y: FloatArray  # row of the bottom edge in px below the expected horizon at its column
@@ -397,14 +396,21 @@ class GroundPlane:
         tangent = road.horizon + road.slope * (x_px - camera.cx_px) / camera.fx_px
         return np.asarray(camera.cy_px + camera.fy_px * tangent)
 
-    def _basis(self, s: FloatArray) -> FloatArray:
-        """(4, ...) derivatives of the row of the ground at s = fy / d (...) by the unknowns, without
-        b.
+    def _of_ground(self, s: FloatArray, across_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(4, ...) derivatives of the row of the ground at s = fy / d (...) in px/m by the unknowns,
+        without b, and (...) variance R in px^2 of bottom edges about it.
         """
-        distance_m = self._camera.fy_px / s
+        settings, fy = self._settings, self._camera.fy_px
+        distance_m = fy / s
         basis = np.zeros((_N, *s.shape))
-        basis[0], basis[1], basis[2] = 1.0, s, curvature_fraction(distance_m) * distance_m / -2
-        return basis
+        basis[0], basis[1] = 1.0, s
+        np.multiply(curvature_fraction(distance_m), distance_m / -2, out=basis[2])
+        place_px = settings.place_sigma_m(across_px / s) * s
+        box_and_kerb = settings.box_sigma_px**2 + place_px * place_px
+        if self._road is None:
+            return basis, np.asarray(self._pitch_px2 + box_and_kerb)
+        ahead_px2 = unknown_curvature_variance(distance_m) * (fy * distance_m / 2) ** 2
+        return basis, np.asarray((_MOVING_PITCH_RAD * fy) ** 2 + ahead_px2 + box_and_kerb)
 
     def _contacts(self, tracks: Tracks, by_size: Ranges, frame: Frame) -> _Contacts:
         y = tracks.xyxy_px[:, 3]
@@ -422,6 +428,7 @@ class GroundPlane:
         right, ahead = (1.0, 0.0) if self._road is None else self._road.across
         across_px = right * (x - self._camera.cx_px) + ahead * self._camera.fy_px
         s_sigma = s * np.where(is_informative, by_size.sigma_m / by_size.distance_m, 1.0)
+        basis, R = self._of_ground(s, across_px)
         return _Contacts(
             y=y - self._expected_px(x),
             offset_m=offset_m,
@@ -429,8 +436,8 @@ class GroundPlane:
             s_variance=np.maximum(
                 s_sigma * s_sigma - self._bias_variance * s * s, _MIN_OWN * s_sigma * s_sigma
             ),
-            basis=self._basis(s),
-            R=self._row_variance(s, across_px),
+            basis=basis,
+            R=R,
             across_px=across_px,
             on_ground=on_ground,
             is_informative=is_informative,
@@ -459,8 +466,7 @@ class GroundPlane:
         )
         terms = a[:, None] * np.concatenate([a, contacts.y[None]]) * weight
         average = np.asarray(gain * terms + (1.0 - gain) * previous)
-        n_known = self._tracks.known.shape[-1]
-        self._tracks.put(track_id, average, keep_known=np.ones(n_known, np.bool_))
+        self._tracks.known[..., : len(track_id)] = average  # the tracks of `put` are the first
         return average
 
     def _update_pitch(self, contacts: _Contacts, plane: _Plane, *, step_s: float) -> None:
@@ -490,27 +496,12 @@ class GroundPlane:
         H, fy_k = np.where(is_below, H, 1.0), np.where(is_below, fy_k, 1.0)
         contact_m = _distance_on_curve_m(np.where(is_below, below_px, 1.0) / fy, H, fy_k / fy)
         s = fy / contact_m
-        basis = self._basis(s)
+        basis, R = self._of_ground(s, contacts.across_px)
         per_log_m = np.maximum(H * s - basis[2] * fy_k, _MIN_SLOPE * H * s)  # -d row / d log d
-        sigma = (
-            np.sqrt(plane.variance(basis) + self._row_variance(s, contacts.across_px)) / per_log_m
-        )
+        sigma = np.sqrt(plane.variance(basis) + R) / per_log_m
         is_valid = is_below & (sigma < self._settings.max_sigma)
         contact_m = np.where(is_valid, contact_m, np.nan)
         return contact_m + contacts.offset_m, contact_m * sigma
-
-    def _row_variance(self, s: FloatArray, across_px: FloatArray) -> FloatArray:
-        """(N,) variance R in px^2 of bottom edges about the estimated road, for s = fy / d (N,) in
-        px/m.
-        """
-        place_px = self._settings.place_sigma_m(across_px / s) * s
-        box_and_kerb = self._settings.box_sigma_px**2 + place_px**2
-        if self._road is None:
-            return np.asarray(self._pitch_px2 + box_and_kerb)
-        fy = self._camera.fy_px
-        distance_m = fy / s
-        ahead_px2 = unknown_curvature_variance(distance_m) * (fy * distance_m / 2) ** 2
-        return np.asarray((_MOVING_PITCH_RAD * fy) ** 2 + ahead_px2 + box_and_kerb)
 
 
 class GroundRanger(Ranger):
