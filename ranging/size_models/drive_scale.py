@@ -120,6 +120,29 @@ class _Corrections(NamedTuple):
             is_known, self.weighted_ratio[row], 0.0
         )
 
+    def after(
+        self,
+        track_id: IntArray,
+        information: FloatArray,
+        ratio: FloatArray,
+        *,
+        limit: FloatArray,
+        time_s: float,
+    ) -> _Corrections:
+        """The references after those of a frame, with log ratios (N,) and their information, of which
+        a track has no more than the limit (N,).
+        """
+        before, weighted_before = self.of(track_id)
+        total = before + information
+        stays = np.minimum(1.0, limit / total)
+        is_present = (self.track_id[:, None] == track_id).any(axis=1)
+        kept = ((time_s - self.time_s < _OWN_S) & ~is_present).nonzero()[0]
+        weighted = stays * (weighted_before + information * ratio)
+        new = (track_id, stays * total, weighted, np.full(len(track_id), time_s))
+        return _Corrections._make(
+            np.concatenate([a, b[kept]]) for a, b in zip(new, self, strict=True)
+        )
+
 
 _NO_IDS = np.zeros(0, np.int64)
 
@@ -222,40 +245,36 @@ class DriveScale:
             common = np.zeros(len(ratio)) if item.common_sigma is None else item.common_sigma
             reference_variance = (reference.sigma_m / reference.distance_m) ** 2
             noise = reference_variance - common**2 + size_variance - systematic
-        rows = np.flatnonzero(np.abs(ratio) < _MAX_LOG_RATIO)  # False for NaN
+        rows = (np.abs(ratio) < _MAX_LOG_RATIO).nonzero()[0]  # False for NaN
         if step_s == 0.0 or not len(rows):
             return replace(self, _last_s=last_s)
         ids, added = by_size.track_id[rows], step_s / _CORRELATED_S / noise[rows]
         own = systematic[rows] - shared_variance(systematic[rows])
         of_frame = added, added * ratio[rows], own, np.full(len(rows), time_s), added * common[rows]
         frame = _Tracks(ids, item.class_id[rows], *of_frame)
-        scale = replace(self, _tracks=_averaged(self._tracks, frame), _last_s=last_s)._solved(
-            time_s, item.reference_sigma
+        tracks, corrections = _averaged(self._tracks, frame), self._corrections
+        log_factor, variance = self._solved(tracks, time_s, item.reference_sigma)
+        if item.corrects_tracks:
+            added = step_s / _CORRELATED_S / (noise[rows] + item.reference_sigma**2)
+            limit = 1.0 / reference_variance[rows]  # errors of a track's references last
+            corrections = corrections.after(ids, added, ratio[rows], limit=limit, time_s=time_s)
+        return replace(
+            self,
+            log_factor=log_factor,
+            variance=variance,
+            _tracks=tracks,
+            _corrections=corrections,
+            _last_s=last_s,
         )
-        if not item.corrects_tracks:
-            return scale
-        information, weighted_ratio = self._corrections.of(ids)
-        added = step_s / _CORRELATED_S / (noise[rows] + item.reference_sigma**2)
-        limit = 1.0 / reference_variance[rows]  # errors of a track's references last
-        stays = np.minimum(1.0, limit / (information + added))
-        others = self._corrections
-        is_present = (others.track_id[:, None] == ids).any(axis=1)
-        kept = np.flatnonzero((time_s - others.time_s < _OWN_S) & ~is_present)
-        new = (
-            ids,
-            stays * (information + added),
-            stays * (weighted_ratio + added * ratio[rows]),
-            frame.time_s,
-        )
-        merged = (np.concatenate([a, b[kept]]) for a, b in zip(new, others, strict=True))
-        return replace(scale, _corrections=_Corrections(*merged))
 
-    def _solved(self, time_s: float, reference_sigma: float) -> DriveScale:
-        tracks, n_classes = self._tracks, len(SIZE_CLASSES)
+    def _solved(
+        self, tracks: _Tracks, time_s: float, reference_sigma: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """(K,) posterior means of a + c_k, and their variances."""
         m = tracks.weighted_ratio / tracks.information
         variance = tracks.own_variance + 1.0 / tracks.information
         fresh = np.exp((tracks.time_s - time_s) / _MEMORY_S)
-        A = np.zeros((len(m), 1 + n_classes + 1))
+        A = np.zeros((len(m), len(_PRIOR)))
         A[:, 0], A[:, -1] = 1.0, tracks.weighted_common / tracks.information
         A[np.arange(len(m)), 1 + tracks.class_id] = 1.0
         of_horizon = 0.0
@@ -268,13 +287,8 @@ class DriveScale:
             covariance = np.linalg.inv(_PRIOR + (A.T * weight) @ A)
             beta = covariance @ (A.T @ (weight * m))
             log_factor, of_horizon = beta[0] + beta[1:-1], beta[-1]
-        with_classes = covariance[:-1, :-1]
-        class_variance = with_classes[0, 0] + 2 * with_classes[0, 1:] + np.diag(with_classes)[1:]
-        return replace(
-            self,
-            log_factor=log_factor,
-            variance=np.minimum(class_variance + reference_sigma**2, DRIVE_VARIANCE),
-        )
+        of_classes = covariance[0, 0] + 2 * covariance[0, 1:-1] + covariance.diagonal()[1:-1]
+        return log_factor, np.minimum(of_classes + reference_sigma**2, DRIVE_VARIANCE)
 
     def summary(self) -> dict[str, Any]:
         """Bias and sigma in per cent and number of tracks, by class with evidence."""

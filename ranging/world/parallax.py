@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image
-from track_range.foundation.robust_statistics import MAD_TO_SIGMA
+from track_range.foundation.robust_statistics import MAD_TO_SIGMA, median_of
 from track_range.foundation.sparse_flow import small_grey, tracked_corners
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.measurement.ranges import Ranges
@@ -147,13 +147,15 @@ class Parallax:
         parts = _corners_of_tracks(before, now.tracks)
         if not parts:
             return growth, variance
-        owner = np.concatenate([np.full(len(corners), row) for row, corners in parts])
+        n_corners = [len(corners) for _, corners in parts]
+        owner = np.repeat([row for row, _ in parts], n_corners)
         corners = np.concatenate([corners for _, corners in parts])
         turned = self._rays(corners, now.n_halved) @ step.rotation.T
         q = turned[:, :2] / turned[:, 2:]
         from_epipole = step.travel[2] * q - step.travel[:2]
         camera, factor = self._camera, 1 << now.n_halved
-        tangents = q + from_epipole * np.nan_to_num(step.travelled_m / expected_m[owner, None])
+        expected = step.travelled_m / expected_m[owner, None]
+        tangents = q + from_epipole * np.where(np.isfinite(expected), expected, 0.0)
         full_px = tangents * [camera.fx_px, camera.fy_px] + [camera.cx_px, camera.cy_px]
         start = np.asarray((full_px - (factor - 1) / 2) / factor, np.float32)
         points, is_tracked = tracked_corners(
@@ -161,23 +163,27 @@ class Parallax:
         )
         moved = self._rays(points, now.n_halved)[:, :2] - q
         focal_px = camera.fx_px / factor
-        radius = np.maximum(np.linalg.norm(from_epipole, axis=1), _MIN_RADIUS / 10)
+        radius = np.sqrt((from_epipole * from_epipole).sum(axis=1))
+        np.maximum(radius, _MIN_RADIUS / 10, out=radius)
         away = from_epipole / radius[:, None]
         across_px = focal_px * np.abs(moved[:, 0] * away[:, 1] - moved[:, 1] * away[:, 0])
         g = (moved * away).sum(axis=1) / radius
         is_good = is_tracked & (across_px < _MAX_ACROSS_PX) & (radius > _MIN_RADIUS)
-        for row, _ in parts:
-            rows = np.flatnonzero((owner == row) & is_good)
-            if len(rows) < max(_MIN_CORNERS, 0.5 * (owner == row).sum()):
+        n_correlated = max(_CORRELATED_S / step.dt_s, 1.0)  # frames
+        first = 0
+        for (row, _), n in zip(parts, n_corners, strict=True):
+            of_track = slice(first, first + n)
+            first += n
+            is_used = is_good[of_track]
+            growths, radii = g[of_track][is_used], radius[of_track][is_used]
+            if len(growths) < max(_MIN_CORNERS, 0.5 * n):
                 continue
-            growth[row] = np.median(g[rows])
-            spread = MAD_TO_SIGMA * float(np.median(np.abs(g[rows] - growth[row])))
-            mean_radius = float(np.median(radius[rows]))
+            growth[row] = median_of(growths)
+            spread = MAD_TO_SIGMA * float(median_of(np.abs(growths - growth[row])))
+            mean_radius = float(median_of(radii))
             noise = max(spread, _CORNER_PX / focal_px / mean_radius)
             systematic = step.rotation_sigma_rad / mean_radius
-            variance[row] = (1.25 * noise) ** 2 / len(rows) + systematic**2 * max(
-                _CORRELATED_S / step.dt_s, 1.0
-            )
+            variance[row] = (1.25 * noise) ** 2 / len(growths) + systematic**2 * n_correlated
         return growth, variance
 
     def _rays(self, points: FloatArray32, n_halved: int) -> FloatArray:
@@ -194,25 +200,34 @@ def _corners_of_tracks(before: _Picture, now: Tracks) -> list[tuple[int, FloatAr
         if before.tracks.observed[row]
     }
     candidates = np.flatnonzero(now.observed & _MAY_BE_STATIC[now.class_id]).tolist()
+    inner_px = _inner_boxes_px(before)
     return [
         (row, corners)
         for row in candidates
         if (last := row_before.get(int(now.track_id[row]))) is not None
-        and len(corners := _corners_in(before, before.tracks.xyxy_px[last])) >= _MIN_CORNERS
+        and len(corners := _corners_in(before.image, inner_px[last])) >= _MIN_CORNERS
     ]
 
 
-def _corners_in(picture: _Picture, xyxy_px: FloatArray) -> FloatArray32:
-    """(K, 2) corners in the inner part of a box in pixels of the full image."""
-    margin = _INNER * (xyxy_px[2:] - xyxy_px[:2])
-    inner = np.concatenate([xyxy_px[:2] + margin, xyxy_px[2:] - margin]) / (1 << picture.n_halved)
-    height, width = picture.image.shape
-    x1, y1 = np.maximum(np.ceil(inner[:2]), 0).astype(int).tolist()
-    x2, y2 = np.minimum(np.floor(inner[2:]) + 1, [width, height]).astype(int).tolist()
+def _inner_boxes_px(picture: _Picture) -> list[list[int]]:
+    """First column and row and those behind the last of the inner part of each box, in pixels of
+    the image.
+    """
+    low_px, high_px = picture.tracks.xyxy_px[:, :2], picture.tracks.xyxy_px[:, 2:]
+    margin = _INNER * (high_px - low_px)
+    factor, (height, width) = 1 << picture.n_halved, picture.image.shape
+    first = np.maximum(np.ceil((low_px + margin) / factor), 0)
+    behind = np.minimum(np.floor((high_px - margin) / factor) + 1, [width, height])
+    return np.concatenate([first, behind], axis=1).astype(int).tolist()
+
+
+def _corners_in(image: Image, inner_px: list[int]) -> FloatArray32:
+    """(K, 2) corners in the inner part of a box in the image."""
+    x1, y1, x2, y2 = inner_px
     if min(x2 - x1, y2 - y1) < _MIN_SIDE_PX:
         return np.zeros((0, 2), np.float32)
     corners = cv2.goodFeaturesToTrack(
-        picture.image[y1:y2, x1:x2], _N_CORNERS, _MIN_QUALITY, _MIN_DISTANCE_PX
+        image[y1:y2, x1:x2], _N_CORNERS, _MIN_QUALITY, _MIN_DISTANCE_PX
     )
     if corners is None:
         return np.zeros((0, 2), np.float32)
