@@ -46,7 +46,6 @@ from track_range.stereo.matching.tiles import (
     FINE,
     MIN_IMAGE_HW,
     BoxTiles,
-    TileShape,
     box_tiles,
     tile_scale,
 )
@@ -146,7 +145,7 @@ class SurfaceSearch(NamedTuple):
     matches: WindowMatches
     weight: FloatArray  # (N, G) weights of the windows
     surfaces: Surfaces
-    phi: dict[str, FloatArray]  # features of the surfaces, (S, N) by name
+    phi: FloatArray  # (F, S, N) features of the surfaces, in the order of THETA
     choice: SurfaceChoice  # their probabilities
 
     @property
@@ -286,11 +285,14 @@ class PatchMatcher:
         search_px: int,
     ) -> SurfaceSearch:
         """The surfaces of boxes within `search_px` px of their tiles of disparities (N,)."""
-        scale = tile_scale(known.xyxy_px, FINE)[0]
+        scale = tile_scale(known.xyxy_px, FINE)
         first_px = np.maximum(
-            centre_px - search_px * scale, self._settings.min_disparity_px - 1.0 * scale
+            centre_px - search_px * scale[0], self._settings.min_disparity_px - scale[0]
         )
-        return self._search(left, right, known, first_px, 2 * search_px + 1, FINE)
+        tiles = box_tiles(
+            left, right, known.xyxy_px, first_px, 2 * search_px + 1, FINE, scale=scale
+        )
+        return self._search(tiles, known)
 
     def _measured_near(
         self,
@@ -313,11 +315,12 @@ class PatchMatcher:
     def search_full_range(self, left: Image, right: ImageView, known: KnownBoxes) -> SurfaceSearch:
         """The surfaces of boxes in the full range, on coarse tiles."""
         settings = self._settings
-        scale = tile_scale(known.xyxy_px, COARSE)[0]
-        first_px = settings.min_disparity_px - scale
-        n_steps = int(np.ceil((known.limit_px - first_px) / scale).max()) + 3
+        scale = tile_scale(known.xyxy_px, COARSE)
+        first_px = settings.min_disparity_px - scale[0]
+        n_steps = int(np.ceil((known.limit_px - first_px) / scale[0]).max()) + 3
         n_disparities = max(n_steps, 2 * settings.search_px) + 1
-        return self._search(left, right, known, first_px, n_disparities, COARSE)
+        tiles = box_tiles(left, right, known.xyxy_px, first_px, n_disparities, COARSE, scale=scale)
+        return self._search(tiles, known)
 
     def _full_range(self, left: Image, right: ImageView, known: KnownBoxes) -> PatchMatches:
         """Matches of boxes by a search over the full range, on coarse tiles without fractions of a
@@ -331,19 +334,8 @@ class PatchMatcher:
         coarse = RefinedSurface(plane, residual, np.where(members, 1.0, 0.0), members)
         return self._checked(search, coarse, known, is_known=False)
 
-    def _search(
-        self,
-        left: Image,
-        right: ImageView,
-        known: KnownBoxes,
-        first_px: FloatArray,
-        n_disparities: int,
-        shape: TileShape,
-    ) -> SurfaceSearch:
-        """Windows and surfaces of boxes at `n_disparities` or a few more disparities from first_px
-        (N,).
-        """
-        tiles = box_tiles(left, right, known.xyxy_px, first_px, n_disparities, shape)
+    def _search(self, tiles: BoxTiles, known: KnownBoxes) -> SurfaceSearch:
+        """Windows and surfaces of boxes at the disparities of their tiles."""
         cost = window_costs(tiles)
         # All boxes have the range of the largest one; disparities beyond a box's limits are no
         # matches.

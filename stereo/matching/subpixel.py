@@ -8,9 +8,9 @@ disparities, with g the left tile's derivative along the row,
     left(x) = a right(x - d(x, y)) + s g(x) + b        d of the window <- d - s        twice
 
 The gain a and the bias b belong to each window, so that the cameras' exposures may differ, as with
-census. The derivative is the left tile's in both iterations. The first one interpolates right(x -
-d) linearly, the last one by a cubic, which shifts all frequencies of a smoothed image by nearly the
-same amount: no fraction of a pixel is preferred. The variance of d follows from the least squares,
+census. The derivative is the left tile's in both iterations. The first one uses every third column
+and interpolates right(x - d) linearly, the last one by a cubic, which shifts all frequencies of a
+smoothed image by nearly the same amount: no fraction of a pixel is preferred. The variance of d follows from the least squares,
 with the residuals as the noise. The surface is fitted again to the windows that the grey values
 confirm.
 
@@ -36,6 +36,7 @@ from track_range.stereo.matching.surfaces import (
 from track_range.stereo.matching.tiles import MARGIN_PX, BoxTiles, Grey, window_sums
 
 _N_FIT_ITERATIONS = (2, 3)  # of the surface, for each iteration of the least squares on grey values
+_STEP = 3  # the first iterations use every third column
 _MAX_STEP_PX = 0.75  # largest |s| of a confirmed window, px of the tile
 # smallest gain a, and 1 / a, of a confirmed window: below, the pixels hardly resemble each other
 _MIN_GAIN = 0.3
@@ -75,18 +76,13 @@ def refine_surface(
     `is_member` (N, G) are the windows of the surface, `plane` is the plane through them.
     """
     u, v = tiles.u, tiles.v
-    column_u, row_v = tiles.pixel_positions()
     disparity = np.maximum(tiles.first + plane.p[:, 0], 0.1)
     floor = _FLOOR_PX**2 + (_FLOOR_FRACTION * disparity[:, None]) ** 2
     central, terms = centre_weights(u, v), surface_terms(u, v)
     equations, fit = _Equations.of(tiles), plane
     last = tiles.n_disparities - 2.0
-    for iteration in range(len(_N_FIT_ITERATIONS)):
-        p0, p1, p2, p3, p4 = fit.p.T
-        rows, columns = row_v * (p2 + p4 * row_v), p0 + column_u * (p1 + p3 * column_u)
-        at_pixels = rows.astype(np.float32)[:, None] + columns.astype(np.float32)
-        at_pixels = np.minimum(np.maximum(at_pixels, np.float32(1.0)), np.float32(last))
-        step = equations.solve(at_pixels, is_last=iteration == len(_N_FIT_ITERATIONS) - 1)
+    for iteration, n_iterations in enumerate(_N_FIT_ITERATIONS):
+        step = equations.solve(fit, is_last=iteration == len(_N_FIT_ITERATIONS) - 1)
         is_fitted = (
             (np.abs(step.s) < _MAX_STEP_PX) & (step.a > _MIN_GAIN) & (step.a * _MIN_GAIN < 1.0)
         )
@@ -99,10 +95,9 @@ def refine_surface(
         refined = np.where(is_confirmed, np.minimum(np.maximum(fit.at(u, v), 1.0), last) - s, index)
         variance = np.where(is_confirmed, step.variance, _UNCONFIRMED_SIGMA_PX**2) + floor
         weight = np.where(is_member, 1.0 / variance, 0.0)
-        central_weight, n_iterations = weight * central, _N_FIT_ITERATIONS[iteration]
         fit = fit_surfaces(
             refined,
-            central_weight,
+            weight * central,
             terms,
             disparity=disparity,
             is_curved=True,
@@ -113,15 +108,22 @@ def refine_surface(
 
 
 def _smooth(grey: Grey) -> FloatArray32:
-    """(H - 2, W - 2, N) of (H, W, N), by the binomial filter 1 2 1 on both axes: the cubic then
-    interpolates well.
+    """(W - 2, N, H) of (W, N, H), by the binomial filter 1 2 1 on both axes: the cubic then
+    interpolates well. The first and the last row have no meaning.
     """
-    values = grey.astype(np.uint16)
+    n_columns, n, height = grey.shape
+    column = n * height
+    values = grey.reshape(-1).astype(np.uint16)
+    # In flat arrays, neighbours have constant offsets.
     down = values[:-2] + values[2:]
-    down += 2 * values[1:-1]
-    smooth = down[:, :-2] + down[:, 2:]
-    smooth += 2 * down[:, 1:-1]
-    return np.asarray(np.multiply(smooth, np.float32(1 / 16), dtype=np.float32))
+    down += values[1:-1]
+    down += values[1:-1]
+    smooth = np.zeros((n_columns - 2) * column, np.float32)
+    both = down[: -2 * column] + down[2 * column :]
+    both += down[column:-column]
+    both += down[column:-column]
+    np.multiply(both, np.float32(1 / 16), out=smooth[1:-1])
+    return smooth.reshape(-1, n, height)
 
 
 class _Vertical(NamedTuple):
@@ -160,46 +162,60 @@ class _Equations(NamedTuple):
     the model; s absorbs t <g, h> / <g, g>.
     """
 
-    l: FloatArray32  # noqa: E741  (H, W, N) left grey values, less the tile's mean
-    g: FloatArray32  # (H, W, N) their derivative along the row
-    h: FloatArray32  # (H, W, N) their derivative down the column
-    grey: FloatArray32  # (H, W', N) grey values of both images, less the same mean
-    # (9, N, G) sums of l, g, h, l l, g g, h h, g l, g h and h l over the windows' pixels
-    sums: FloatArray
+    # (9, W, N, H) left grey values l, less the tile's mean, their derivative g along the row, the
+    # products l l, g g and g l; their derivative h down the column, h l, h g and h h
+    values: FloatArray32
+    sums: FloatArray  # (9, N, G) their sums over the windows' pixels
+    some_sums: FloatArray  # (5, N, G) sums of l, g, l l, g g and g l of every third column
+    grey: FloatArray32  # (W', N, H + 8) grey values of both images, less the same mean
     tiles: BoxTiles
+    positions: tuple[FloatArray, FloatArray]  # u (W, N) of the columns and v (N, H) of the rows
 
     @classmethod
     def of(cls, tiles: BoxTiles) -> _Equations:
-        (height, width), n = tiles.shape.hw, tiles.both.shape[2]
-        inner = slice(MARGIN_PX - 2, -(MARGIN_PX - 2))
-        grey = _smooth(tiles.both[inner, inner])
-        left = grey[:, : width + 2]
-        grey -= left[::4, ::4].mean(axis=(0, 1))  # small numbers keep the precision of 32 bits
-        values = np.empty((9, height, width, n), np.float32)
-        l, g, h = values[:3]  # noqa: E741
-        l[:] = left[1:-1, 1:-1]
-        np.subtract(left[1:-1, 2:], left[1:-1, :-2], out=g)
-        np.subtract(left[2:, 1:-1], left[:-2, 1:-1], out=h)
-        values[1:3] *= np.float32(0.5)
-        np.square(values[:3], out=values[3:6])
-        np.multiply(g, l, out=values[6])
-        np.multiply(h, values[1::-1], out=values[7:])
-        return cls(l, g, h, np.ascontiguousarray(grey[1:-1]), _by_window(values, tiles), tiles)
+        (height, width), n = tiles.shape.hw, tiles.both.shape[1]
+        grey = _smooth(tiles.both)
+        columns, rows = slice(MARGIN_PX - 1, MARGIN_PX - 1 + width), slice(MARGIN_PX, -MARGIN_PX)
+        # small numbers keep the precision of 32 bits
+        some = grey[columns, :, rows][::4, :, ::4]
+        mean = some.sum(axis=(0, 2)) / np.float32(some[:, 0].size)
+        by_column = grey.reshape(len(grey), -1)
+        by_column -= np.repeat(mean, grey.shape[2])
+        values = np.empty((9, width, n, height), np.float32)
+        l, g, _, _, _, h = values[:6]  # noqa: E741
+        l[:] = grey[columns, :, rows]
+        np.subtract(
+            grey[MARGIN_PX:, :, rows][:width], grey[MARGIN_PX - 2 :, :, rows][:width], out=g
+        )
+        np.subtract(
+            grey[columns, :, MARGIN_PX + 1 : 1 - MARGIN_PX],
+            grey[columns, :, MARGIN_PX - 1 : -1 - MARGIN_PX],
+            out=h,
+        )
+        values[1:6:4] *= np.float32(0.5)
+        np.square(values[:2], out=values[2:4])
+        np.multiply(g, l, out=values[4])
+        np.multiply(values[:2], h, out=values[6:8])
+        np.square(h, out=values[8])
+        sums, some_sums = _by_window(values, tiles), _by_window(values[:5, ::_STEP], tiles, _STEP)
+        return cls(values, sums, some_sums, grey, tiles, tiles.pixel_positions())
 
-    def solve(self, index: FloatArray32, *, is_last: bool) -> _Step:
-        """The solution with the right values at the disparities index (H, W, N).
+    def solve(self, surface: SurfaceFit, *, is_last: bool) -> _Step:
+        """The solution with the right values at the disparities of a surface.
 
-        The first steps interpolate linearly; only the last one needs exact fractions and the
-        vertical offset.
+        The first steps use every third column, and interpolate linearly; only the last one needs
+        exact fractions and the vertical offset.
         """
-        l, g, h, n = self.l, self.g, self.h, self.tiles.shape.window_px  # noqa: E741
-        values = np.empty((5 if is_last else 4, *l.shape), np.float32)
-        r = self._right_at(index, values[0], is_linear=not is_last)
-        np.square(r, out=values[1])
-        for product, factor in zip(values[2:], (g, l, h), strict=False):
+        step = 1 if is_last else _STEP
+        l, g, _, _, _, h = self.values[:6, ::step]  # noqa: E741
+        n = self.tiles.shape.window_px / step
+        products = np.empty((5 if is_last else 4, *l.shape), np.float32)
+        r = self._right_at(surface, products[0], step)
+        np.square(r, out=products[1])
+        for product, factor in zip(products[2:], (g, l, h), strict=False):
             np.multiply(r, factor, out=product)
-        sum_l, sum_g, sum_h, sum_ll, sum_gg, sum_hh, sum_gl, sum_gh, sum_hl = self.sums
-        sum_r, sum_rr, sum_gr, sum_rl, *sum_hr = _by_window(values, self.tiles)
+        sum_l, sum_g, sum_ll, sum_gg, sum_gl = self.sums[:5] if is_last else self.some_sums
+        sum_r, sum_rr, sum_gr, sum_rl, *sum_hr = _by_window(products, self.tiles, step)
         ll = sum_ll - sum_l * sum_l / n
         gg = sum_gg - sum_g * sum_g / n
         rr = sum_rr - sum_r * sum_r / n
@@ -211,9 +227,11 @@ class _Equations(NamedTuple):
         a = (rl * gg - gl * gr) / determinant
         residual = np.maximum(ll - a * rl - s * gl, 0.0) / (n - 4)
         information = np.maximum(determinant / (np.maximum(rr, 0.0) + 1e-3), 1e-6)
-        noise = _NOISE_CORRELATION * (residual + _MIN_NOISE_GREY2)
+        # as of all columns
+        noise = _NOISE_CORRELATION / step * (residual + _MIN_NOISE_GREY2)
         vertical = None
         if is_last:
+            sum_h, sum_hl, sum_gh, sum_hh = self.sums[5:]
             hh = sum_hh - sum_h * sum_h / n
             gh = sum_gh - sum_g * sum_h / n
             hl = sum_hl - sum_h * sum_l / n
@@ -224,31 +242,44 @@ class _Equations(NamedTuple):
             )
         return _Step(s, a, noise / information, vertical)
 
-    def _right_at(self, index: FloatArray32, out: FloatArray32, *, is_linear: bool) -> FloatArray32:
-        """Fill (H, W, N) right values at the disparities index, by Lagrange's cubic through four
-        pixels, or a line.
+    def _right_at(self, surface: SurfaceFit, out: FloatArray32, step: int) -> FloatArray32:
+        """Fill (W / step, N, H) right values at the disparities of a surface in every `step`-th
+        column, by a line between two pixels, or in all columns by Lagrange's cubic through four.
         """
-        height, width, n = index.shape
-        # Column of the first of the four pixels; the strip follows the left tile with its margins.
-        zero = width + 2 * MARGIN_PX + self.tiles.n_disparities - 1
-        column = np.arange(zero, zero + width, dtype=np.float32)[:, None] - index
-        first = column.astype(np.int32)  # positive, so that this is the floor
-        t = column
-        t -= first
-        first *= np.int32(n)
-        first += np.arange(n, dtype=np.int32)
-        first += np.arange(height, dtype=np.int32)[:, None, None] * np.int32(self.grey.shape[1] * n)
+        width, n, height = out.shape
+        padded_height = height + 2 * MARGIN_PX
+        # float columns of `grey` with the right pixels, (W / step, N, H)
+        column_u, row_v = self.positions
+        p0, p1, p2, p3, p4 = surface.p.T
+        columns = p0 + column_u[::step] * (p1 + p3 * column_u[::step])
+        rows = row_v * (p2[:, None] + p4[:, None] * row_v)
+        index = columns.astype(np.float32)[:, :, None] + rows.astype(np.float32)
+        np.maximum(index, np.float32(1.0), out=index)
+        np.minimum(index, np.float32(self.tiles.n_disparities - 2), out=index)
+        # The strip follows the left tile with its margins; `grey` has lost the first column. The
+        # first of the four pixels is in the column before.
+        zero = self.tiles.shape.hw[1] + 3 * MARGIN_PX + self.tiles.n_disparities - 3
+        first = np.arange(zero, zero + width * step, step, dtype=np.float32)
+        t = np.subtract(first[:, None, None], index, out=index)
+        column = np.floor(t)
+        t -= column
+        # its place in the flat array
+        n_per_column = n * padded_height
+        place = column.reshape(width, -1).astype(np.int64)
+        place *= n_per_column
+        box, row = np.arange(n)[:, None], np.arange(MARGIN_PX, MARGIN_PX + height)
+        place += (box * padded_height + row).reshape(-1)
+        place = place.reshape(out.shape)
         pixels = self.grey.reshape(-1)
-        at, after = pixels[n:].take(first, mode="wrap"), pixels[2 * n :].take(first, mode="wrap")
-        if is_linear:
+        at = pixels[n_per_column:].take(place, mode="wrap")
+        after = pixels[2 * n_per_column :].take(place, mode="wrap")
+        if step > 1:
             after -= at
             np.multiply(after, t, out=out)
             out += at
             return out
-        before, next_after = (
-            pixels.take(first, mode="wrap"),
-            pixels[3 * n :].take(first, mode="wrap"),
-        )
+        before = pixels.take(place, mode="wrap")
+        next_after = pixels[3 * n_per_column :].take(place, mode="wrap")
         # at + t (c1 + t (c2 + t c3))
         c3 = at - after
         c3 *= np.float32(3)
@@ -271,10 +302,9 @@ class _Equations(NamedTuple):
         return out
 
 
-def _by_window(values: FloatArray32, tiles: BoxTiles) -> FloatArray:
-    """(K, N, G) sums over the windows of arrays (K, H, W, N)."""
-    sums = window_sums(values, tiles.shape.cell_hw)
-    return sums.reshape(len(sums), -1, sums.shape[-1]).swapaxes(1, 2).astype(np.float64)
+def _by_window(values: FloatArray32, tiles: BoxTiles, column_step: int = 1) -> FloatArray:
+    """(K, N, G) sums over the windows of arrays (K, W / column_step, N, H)."""
+    return window_sums(values, tiles.shape.cell_hw, column_step=column_step).astype(np.float64)
 
 
 def _vertical_offset_fraction(vertical: _Vertical, is_confirmed: BoolArray) -> FloatArray:

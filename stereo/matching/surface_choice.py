@@ -87,6 +87,9 @@ of the best surface, on the same drives with all objects that are hidden by less
 the size of people lets expect."""
 
 
+_THETA, _ETA = np.array(list(THETA.values())), np.array(list(ETA.values()))
+
+
 @dataclass(frozen=True, slots=True)
 class SurfaceChoice:
     """The object's surface in each of N boxes."""
@@ -120,20 +123,26 @@ class OtherBoxes:
         `expected_px` (N,) are the expected disparities of the boxes, NaN = unknown; `disparity_px`
         (N, G) the disparities of the windows, px of the image.
         """
+        of_others = np.zeros(tiles.u.shape)
+        first_px, last_px = self.xyxy_px[:, None, :2], self.xyxy_px[:, None, 2:]
+        is_near = ((first_px < xyxy_px[:, 2:]) & (last_px > xyxy_px[:, :2])).all(axis=2)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ratio = np.abs(np.log(self.expected_px[:, None] / expected_px))
+            # (other, box); False where unknown, and for the box itself
+            is_other = is_near & (ratio > np.log(_OTHER_BOX_RATIO))
+            is_other &= (self.xyxy_px[:, None] != xyxy_px).any(axis=2)
+            if not is_other.any():
+                return of_others
+            is_same = (
+                np.abs(disparity_px / self.expected_px[:, None, None] - 1.0) < _OTHER_BOX_FRACTION
+            )
         size_px, centre_px = xyxy_px[:, 2:] - xyxy_px[:, :2], (xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2
         x_px = centre_px[:, :1] + tiles.u * size_px[:, :1]
         y_px = centre_px[:, 1:] + tiles.v * size_px[:, 1:]
         left, top, right, bottom = self.xyxy_px.T[:, :, None, None]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            ratio = np.abs(np.log(self.expected_px[:, None] / expected_px[None, :]))
-            is_itself = (self.xyxy_px[:, None] == xyxy_px).all(axis=2)
-            # (other, box); False where unknown
-            is_other = (ratio > np.log(_OTHER_BOX_RATIO)) & ~is_itself
-            is_same = (
-                np.abs(disparity_px / self.expected_px[:, None, None] - 1.0) < _OTHER_BOX_FRACTION
-            )
         is_inside = (x_px > left) & (x_px < right) & (y_px > top) & (y_px < bottom)  # (other, N, G)
-        return np.asarray((is_inside & is_same & is_other[:, :, None]).any(axis=0), np.float64)
+        of_others[:] = (is_inside & is_same & is_other[:, :, None]).any(axis=0)
+        return of_others
 
 
 def are_behind(xyxy_px: FloatArray) -> BoolArray:
@@ -154,75 +163,77 @@ def features(
     by_size: ExpectedDisparity,
     track_px: FloatArray,
     others_fraction: FloatArray,
-) -> dict[str, FloatArray]:
-    """The features phi by name, (S, N) each.
+) -> FloatArray:
+    """(F, S, N) features phi of the surfaces, in the order of `THETA`.
 
     `cost` (N, G) are the costs of the windows' minima, bits per pixel; `track_px` (N,) the last
     matches of the tracks, NaN = none; `others_fraction` (N, G) comes from `OtherBoxes.windows`.
     """
-    u, v, used = tiles.u, tiles.v, tiles.is_used
-    n_boxes, n_windows = u.shape
-    masks = np.empty((n_boxes, n_windows, 8))
-    masks[:] = used[..., None]
-    masks[..., 1] *= np.exp(-(u**2 + v**2) / (2 * _CENTRE_SIGMA**2))
-    masks[..., 2] *= u < -_SIDE_U
-    masks[..., 3] *= u > _SIDE_U
-    masks[..., 4] *= np.abs(u) <= _SIDE_U
-    masks[..., 5] *= v < -_SIDE_V
-    masks[..., 6] *= v > _SIDE_V
-    masks[..., 7] *= np.abs(v) <= _SIDE_V
+    u, v = tiles.u, tiles.v
     is_surface = np.isfinite(surfaces.centre)
     member = surfaces.is_member.astype(np.float64)
     n = np.maximum(member.sum(axis=2), 1.0)
-    # (N, S, 8)
-    fraction = member.swapaxes(0, 1) @ masks / np.maximum(masks.sum(axis=1), 1e-6)[:, None]
-    log_fraction = np.log(fraction + _MIN_FRACTION).transpose(2, 1, 0)
-    area, disparity = fraction[..., 0].T, np.where(is_surface, surfaces.disparity, 0.0)
-    single, parts = disparity[:, None], area[:, None]
-    in_front = (single > disparity[None] * _NEARER) * parts  # surface t in front of s, (t, s, N)
-    behind = (single < disparity[None] * _FARTHER) * parts
+    # (N, G, 10) whether windows are in parts of the box: all, the centre with its weight, left,
+    # right, the middle columns, top, bottom, the middle rows; then two values of each window
+    parts = np.empty((*u.shape, 10))
+    parts[..., 0] = 1.0
+    parts[..., 1] = np.exp((u * u + v * v) * (-0.5 / _CENTRE_SIGMA**2))
+    for first, position, side in ((2, u, _SIDE_U), (5, v, _SIDE_V)):
+        is_before, is_after = position < -side, position > side
+        parts[..., first], parts[..., first + 1] = is_before, is_after
+        parts[..., first + 2] = ~(is_before | is_after)
+    parts[..., :8] *= tiles.is_used[..., None]
+    parts[..., 8], parts[..., 9] = cost, others_fraction
+    sums = (member.swapaxes(0, 1) @ parts).transpose(2, 1, 0)  # (10, S, N)
+    fraction = sums[:8] / np.maximum(parts[..., :8].sum(axis=1), 1e-6).T[:, None]
+    log_fraction = np.log(fraction + _MIN_FRACTION)
+    area, disparity = fraction[0, :, None], np.where(is_surface, surfaces.disparity, 0.0)
+    single = disparity[:, None]
     centre = np.where(is_surface, surfaces.centre, 0.0)
-    disparity_px = np.maximum(tiles.first_px + tiles.scale[0] * centre, 0.1)
-    by_size_z = _deviation(
-        disparity_px, by_size.disparity_px, np.hypot(by_size.log_sigma, _MIN_LOG_SIGMA)
+    by_size_z, track_z = _deviations(
+        np.maximum(tiles.first_px + tiles.scale[0] * centre, 0.1),
+        np.stack([by_size.disparity_px, track_px]),
+        np.stack([np.hypot(by_size.log_sigma, _MIN_LOG_SIGMA), np.full(len(u), _TRACK_LOG_SIGMA)]),
     )
-    track_z = _deviation(disparity_px, track_px, np.full(len(track_px), _TRACK_LOG_SIGMA))
     nearer, farther = np.maximum(by_size_z, 0.0), np.maximum(-by_size_z, 0.0)
-    return {
-        "area": log_fraction[0],
-        "centre": log_fraction[1],
-        "both_sides": np.minimum(log_fraction[2], log_fraction[3]),
-        "one_side": np.maximum(log_fraction[2], log_fraction[3]),
-        "middle_columns": log_fraction[4],
-        "top": log_fraction[5],
-        "bottom": log_fraction[6],
-        "middle_rows": log_fraction[7],
-        "width": _extent(u, surfaces.is_member),
-        "height": _extent(v, surfaces.is_member),
-        "cost": (member * cost).sum(axis=2) / n,
-        "in_front": in_front.sum(axis=0),
-        "behind": behind.sum(axis=0),
-        "nearer_than_size": nearer,
-        "nearer_than_size_squared": nearer**2,
-        "farther_than_size": farther,
-        "farther_than_size_squared": farther**2,
-        "off_track": track_z**2,
-        "of_other_box": (member * others_fraction).sum(axis=2) / n,
-    }
+    in_front = ((single > disparity * _NEARER) * area).sum(axis=0)  # sum over t of (t, s, N)
+    behind = ((single < disparity * _FARTHER) * area).sum(axis=0)
+    left, right, middle_columns, top, bottom, middle_rows = log_fraction[2:]
+    return np.array(
+        [
+            log_fraction[0],
+            log_fraction[1],
+            np.minimum(left, right),
+            np.maximum(left, right),
+            middle_columns,
+            top,
+            bottom,
+            middle_rows,
+            _extent(u, surfaces.is_member),
+            _extent(v, surfaces.is_member),
+            sums[8] / n,
+            in_front,
+            behind,
+            nearer,
+            np.square(nearer),
+            farther,
+            np.square(farther),
+            np.square(track_z),
+            sums[9] / n,
+        ]
+    )
 
 
-def choose_surface(phi: dict[str, FloatArray], surfaces: Surfaces) -> SurfaceChoice:
-    """The most probable surface of each box, from the features of `features`."""
-    score = np.zeros_like(surfaces.centre)
-    for name, theta in THETA.items():
-        score += theta * phi[name]
+def choose_surface(phi: FloatArray, surfaces: Surfaces) -> SurfaceChoice:
+    """The most probable surface of each box, from the features (F, S, N) of `features`."""
+    score = (_THETA @ phi.reshape(len(phi), -1)).reshape(phi.shape[1:])
     score = np.where(np.isfinite(surfaces.centre) & (surfaces.disparity > 0), score, -np.inf)
     best = score.max(axis=0)
-    with np.errstate(invalid="ignore"):
-        likelihood = np.where(np.isfinite(score), np.exp(score - best), 0.0)
+    has_any = best > -np.inf
+    likelihood = np.exp(score - np.where(has_any, best, 0.0))
     probability = likelihood / np.maximum(likelihood.sum(axis=0), 1e-12)
     chosen = score.argmax(axis=0)
-    none = np.where(np.isfinite(best), _none_probability(phi, chosen), 1.0)
+    none = np.where(has_any, _none_probability(phi[:, chosen, np.arange(len(chosen))]), 1.0)
     return SurfaceChoice(
         chosen,
         probability * (1.0 - none),
@@ -244,21 +255,22 @@ def none_features(best: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     }
 
 
-def _none_probability(phi: Mapping[str, FloatArray], chosen: IntArray) -> FloatArray:
-    """(N,) Q, from the features (S, N) of the best surfaces (N,)."""
-    rows = np.arange(len(chosen))
-    features = none_features({name: values[chosen, rows] for name, values in phi.items()})
-    score = sum(eta * features[name] for name, eta in ETA.items())
-    return np.asarray(1.0 / (1.0 + np.exp(-np.asarray(score))))
+def _none_probability(best: FloatArray) -> FloatArray:
+    """(N,) Q, from the features (F, N) of the best surfaces."""
+    features = none_features(dict(zip(THETA, best, strict=True)))
+    score = _ETA @ np.array([features[name] for name in ETA])
+    return np.asarray(1.0 / (1.0 + np.exp(-score)))
 
 
-def _deviation(
+def _deviations(
     disparity_px: FloatArray, expected_px: FloatArray, log_sigma: FloatArray
 ) -> FloatArray:
-    """(S, N) deviations of log disparity in standard deviations; 0 where nothing is expected."""
+    """(K, S, N) deviations of log disparity (S, N) from K expected ones (K, N), in standard
+    deviations (K, N); 0 where nothing is expected.
+    """
     # the logarithm of expected disparities of infinity
     with np.errstate(invalid="ignore", divide="ignore"):
-        z = np.log(disparity_px / expected_px) / log_sigma
+        z = (np.log(disparity_px) - np.log(expected_px)[:, None]) / log_sigma[:, None]
     return np.asarray(
         np.where(np.isnan(z), 0.0, np.minimum(np.maximum(z, -_MAX_DEVIATION), _MAX_DEVIATION))
     )

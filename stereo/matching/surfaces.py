@@ -31,6 +31,7 @@ _FLOOR_FRACTION, _FLOOR_PX = 0.015, 0.05
 # residual, in units of f, at which a window counts half of what it would without the bound
 _BOUND_FLOORS = 2.0
 _RIDGE = 4e-3  # on the tilt p1, p2, relative to the total weight: for windows that nearly coincide
+_SMALLEST_RIDGE = 1e-9  # on all parameters of a plane, for boxes without windows
 # c: prior standard deviation of p3 and p4 as a fraction of the disparity; 1.5 % at the edge of the
 # box's inner half. Fitted on simulated drives (seeds 0-2) and on the accuracy at the centre of
 # KITTI 2015's given pairs.
@@ -44,10 +45,9 @@ _SAME_SURFACE_PX = 0.75  # its minimum, px of the tile
 _ON_PLANE = 0.75  # largest distance from the plane, as a fraction of that difference
 # minimum fraction of the windows of a surface on its plane; otherwise it is not a plane
 _MIN_ON_PLANE = 0.8
-# times that a plane is fitted to the first surface, and its windows selected: it grows along its
-# plane
-_N_GROWTHS = 2
-_N_FIT_ITERATIONS = 3  # iterations of each fit of a plane
+# iterations of the fit of a plane to windows that agree; of a fit to the first surface's windows on
+# this plane, from which it grows along the plane
+_N_FIT_ITERATIONS, _N_GROWTH_ITERATIONS = 3, 1
 # of the Gaussian weight about the box's centre, in box sizes: the corners of cars are rounded
 _CENTRE_SIGMA = 0.2
 # v of the most likely position of the object, in box sizes: objects touch the box's lower edge
@@ -76,7 +76,10 @@ class SurfaceFit:
 
 def surface_terms(u: FloatArray, v: FloatArray) -> FloatArray:
     """(N, G, 5) rows of A, the terms 1, u, v, u^2 and v^2, at positions u and v, (N, G) each."""
-    return np.stack([np.ones_like(u), u, v, u * u, v * v], axis=2)
+    terms = np.ones((*u.shape, 5))
+    terms[..., 1], terms[..., 2] = u, v
+    np.square(terms[..., 1:3], out=terms[..., 3:])
+    return terms
 
 
 def fit_surfaces(
@@ -87,39 +90,37 @@ def fit_surfaces(
     disparity: FloatArray,
     is_curved: bool = False,
     n_iterations: int = 4,
+    start: SurfaceFit | None = None,
 ) -> SurfaceFit:
     """The surfaces through disparities `index` with weights (..., N, G), px of the tile; 0 = not
     part of a surface.
 
     Each iteration solves (A^T W A + ridge) p = A^T W d with the rows (1, u, v, u^2, v^2) of A.
 
-    `index`, (N, G) or (..., N, G), is relative to any disparity of the box, such as index 0 of the
-    costs; `weight` is 1 / variance of the windows, `terms` (N, G, 5) A, and `disparity` (..., N)
-    the box's disparity, px of the tile, for the scale of residuals and curvature. Without
-    `is_curved`, a plane is fitted.
+    `index` (N, G) is relative to any disparity of the box, such as index 0 of the costs; `weight`
+    is 1 / variance of the windows, `terms` (N, G, 5) A, and `disparity` (..., N) the box's
+    disparity, px of the tile, for the scale of residuals and curvature. Without `is_curved`, a
+    plane is fitted. `start` are surfaces near the result, from whose residuals W follows first.
     """
     n_parameters = 5 if is_curved else 3
-    a = np.ascontiguousarray(terms[..., :n_parameters])
+    a, d = np.ascontiguousarray(terms[..., :n_parameters]), index[..., None]
+    a_and_d = np.concatenate([a, d], axis=2)
     transposed = np.ascontiguousarray(a.swapaxes(1, 2))
-    total = weight.sum(axis=-1)
-    reference = (weight * index).sum(axis=-1) / np.maximum(total, 1e-12)
-    d = (index - reference[..., None])[..., None]
-    diagonal = np.full((*total.shape, n_parameters), 1e-9)
-    diagonal[..., 1:3] += (_RIDGE * total)[..., None]
+    ridge = np.zeros((*weight.shape[:-1], n_parameters, n_parameters))
+    ridge[..., 0, 0] = _SMALLEST_RIDGE
+    ridge[..., 1, 1] = ridge[..., 2, 2] = _RIDGE * weight.sum(axis=-1) + _SMALLEST_RIDGE
     if is_curved:
-        diagonal[..., 3:] += (_OVERLAP / np.square(_CURVATURE * disparity))[..., None]
-    ridge = diagonal[..., None] * np.eye(n_parameters)
+        ridge[..., 3, 3] = ridge[..., 4, 4] = _OVERLAP / np.square(_CURVATURE * disparity)
     inverse_f = 1.0 / np.maximum(_FLOOR_FRACTION * disparity, _FLOOR_PX)[..., None]
-    w = weight
+    w, p = weight, np.zeros(0) if start is None else start.p[..., :n_parameters, None]
     for iteration in range(n_iterations):
-        weighted = transposed * w[..., None, :]
-        p = np.linalg.solve(weighted @ a + ridge, weighted @ d)
-        if iteration < n_iterations - 1:
+        if start is not None or iteration:
             r = np.abs(d - a @ p)[..., 0] * inverse_f
             w = weight / (np.maximum(r, 1.0) * (1.0 + np.square(r * (1.0 / _BOUND_FLOORS))))
-    coefficients = np.zeros((*total.shape, 5))
+        equations = (transposed * w[..., None, :]) @ a_and_d  # A^T W A, and A^T W d beside it
+        p = np.linalg.solve(equations[..., :-1] + ridge, equations[..., -1:])
+    coefficients = np.zeros((*weight.shape[:-1], 5))
     coefficients[..., :n_parameters] = p[..., 0]
-    coefficients[..., 0] += reference
     return SurfaceFit(coefficients)
 
 
@@ -147,7 +148,7 @@ def window_weights(matches: WindowMatches, tiles: BoxTiles) -> FloatArray:
 
 def centre_weights(u: FloatArray, v: FloatArray) -> FloatArray:
     """(N, G) Gaussian weights of windows at u and v about the box's centre."""
-    return np.asarray(np.exp(-(u**2 + v**2) / (2 * _CENTRE_SIGMA**2)))
+    return np.asarray(np.exp((u * u + v * v) * (-0.5 / _CENTRE_SIGMA**2)))
 
 
 def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles) -> Surfaces:
@@ -167,45 +168,58 @@ def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles) -> Sur
     )
     central, terms = centre_weights(u, v), surface_terms(u, v)
 
-    def modes(free: FloatArray, n: int) -> tuple[BoolArray, FloatArray, FloatArray]:
-        """Windows (n, N, G) that agree with the window of most support, its disparity and its
-        tolerance (n, N, 1).
+    def most_supported(free: FloatArray) -> tuple[BoolArray, tuple[FloatArray, FloatArray]]:
+        """Windows (N, G) that agree with the window of most support among the free windows, its
+        disparity and its tolerance (N, 1).
         """
-        chosen = []
-        for _ in range(n):
-            support = np.where(free > 0, (agree @ (free * near_object)[:, :, None])[..., 0], 0.0)
-            best = np.arange(len(free)), support.argmax(axis=1)
-            best_index, limit = index[best][:, None], tolerance[best][:, None]
-            is_member = (free > 0) & (np.abs(index - best_index) <= limit)
-            chosen.append((is_member, best_index, limit))
-            free = np.where(is_member, 0.0, free)
-        is_members, best_indices, limits = zip(*chosen, strict=True)
-        return np.stack(is_members), np.stack(best_indices), np.stack(limits)
+        support = np.where(free > 0, (agree @ (free * near_object)[:, :, None])[..., 0], 0.0)
+        best = support.argmax(axis=1) + first_window
+        best_index, limit = index.take(best)[:, None], tolerance.take(best)[:, None]
+        return (free > 0) & (np.abs(index - best_index) <= limit), (best_index, limit)
 
-    def grown(free: FloatArray, n: int, *, n_growths: int) -> tuple[BoolArray, FloatArray]:
-        """Windows (n, N, G) and coefficients (n, N, 5) of the n surfaces with most support among
-        free windows.
+    def grown(
+        is_member: BoolArray,
+        free: FloatArray,
+        at: tuple[FloatArray, FloatArray],
+        start: SurfaceFit | None = None,
+    ) -> tuple[BoolArray, SurfaceFit]:
+        """Windows (..., N, G) on the planes through windows of surfaces, and the planes.
+
+        `at` are the disparities and tolerances (..., N, 1) of the surfaces, `start` earlier planes.
         """
-        is_member, best_index, limit = modes(free, n)
-        disparity = np.maximum(tiles.first + best_index[..., 0], 0.1)
-        for _ in range(n_growths):
-            fit_weight = np.where(is_member, free * central, 0.0)
-            plane = fit_surfaces(
-                index, fit_weight, terms, disparity=disparity, n_iterations=_N_FIT_ITERATIONS
-            )
-            n_windows = is_member.sum(axis=-1)
-            constant = np.concatenate([best_index, np.zeros((*n_windows.shape, 4))], axis=-1)
-            plane = SurfaceFit(np.where(n_windows[..., None] < _MIN_WINDOWS, constant, plane.p))
-            on_plane = (free > 0) & (np.abs(index - plane.at(u, v)) <= _ON_PLANE * limit)
-            is_plane = on_plane.sum(axis=-1) >= _MIN_ON_PLANE * n_windows
-            is_member = np.where(is_plane[..., None], on_plane, is_member)
-        return is_member, plane.p
+        best_index, limit = at
+        plane = fit_surfaces(
+            index,
+            np.where(is_member, free * central, 0.0),
+            terms,
+            disparity=np.maximum(tiles.first + best_index[..., 0], 0.1),
+            n_iterations=_N_FIT_ITERATIONS if start is None else _N_GROWTH_ITERATIONS,
+            start=start,
+        )
+        n_windows = is_member.sum(axis=-1)
+        is_few = n_windows < _MIN_WINDOWS
+        if is_few.any():  # these have no tilt
+            plane.p[is_few] = 0.0
+            plane.p[is_few, 0] = best_index[is_few, 0]
+        on_plane = (free > 0) & (np.abs(index - plane.at(u, v)) <= _ON_PLANE * limit)
+        is_plane = on_plane.sum(axis=-1) >= _MIN_ON_PLANE * n_windows
+        return np.where(is_plane[..., None], on_plane, is_member), plane
 
-    first, first_p = grown(weight, 1, n_growths=_N_GROWTHS)
-    rest = np.where(first[0], 0.0, weight)
-    others, others_p = grown(rest, N_SURFACES - 1, n_growths=1)
-    for later in range(1, len(others)):
-        others[later] &= ~others[:later].any(axis=0)
-    is_member, p = np.concatenate([first, others]), np.concatenate([first_p, others_p])
+    first_window = np.arange(0, index.size, index.shape[1])
+    is_first, first_at = most_supported(weight)
+    is_first, plane = grown(is_first, weight, first_at)
+    is_first, plane = grown(is_first, weight, first_at, plane)
+    rest = free = np.where(is_first, 0.0, weight)
+    others = []
+    for _ in range(N_SURFACES - 1):
+        others.append(most_supported(free))
+        free = np.where(others[-1][0], 0.0, free)
+    members, at = zip(*others, strict=True)
+    best_index, limit = (np.stack(values) for values in zip(*at, strict=True))
+    is_others, other_planes = grown(np.stack(members), rest, (best_index, limit))
+    for later in range(1, len(is_others)):
+        is_others[later] &= ~is_others[:later].any(axis=0)
+    is_member = np.concatenate([is_first[None], is_others])
+    p = np.concatenate([plane.p[None], other_planes.p])
     centre = np.where(is_member.any(axis=2), p[..., 0], np.nan)
     return Surfaces(is_member, centre, tiles.first + centre, SurfaceFit(p))

@@ -7,7 +7,8 @@ image it may match.
 |   | window|   |     the box are not used. Scales are multiples of a quarter, so that all tiles of a strip begin at
 +---+  2x2  +---+     whole pixels.
 |   | cells |   |
-+---+---+---+---+     Arrays are (rows, columns, boxes): each numpy operation runs over all boxes.
++---+---+---+---+     Pixels are (columns, boxes, rows): one operation runs over all boxes, a disparity is an offset of
+                      the first axis, and the rows of a cell are neighbours in memory.
 """
 
 from dataclasses import dataclass
@@ -18,8 +19,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray
-from track_range.stereo.geometry.frames import ImageView
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image
+from track_range.stereo.geometry.frames import ImageView, grey
 
 Grey = npt.NDArray[np.uint8]
 N_CELLS = 8  # cells per row and per column of a tile
@@ -72,7 +73,7 @@ class BoxTiles:
     """
 
     shape: TileShape  # resolution of the tiles
-    both: Grey  # (H + 8, 2 W + 16 + D - 1, N) grey values: `left` and, beside it, `right`
+    both: Grey  # (2 W + 16 + D - 1, N, H + 8) grey values: `left` and, after it, `right`
     scale: FloatArray  # (2, N) px of the image per px of the tile, in x and in y
     # (N,) disparity of index 0 in px of the image; that of index k is first_px + k scale[0]
     first_px: FloatArray
@@ -86,13 +87,13 @@ class BoxTiles:
 
     @property
     def left(self) -> Grey:
-        """(H + 8, W + 8, N) grey values of the left image, with a margin of 4 px."""
-        return self.both[:, : self.shape.hw[1] + 2 * MARGIN_PX]
+        """(W + 8, N, H + 8) grey values of the left image, with a margin of 4 px."""
+        return self.both[: self.shape.hw[1] + 2 * MARGIN_PX]
 
     @property
     def right(self) -> Grey:
-        """(H + 8, W + 8 + D - 1, N) grey values of the right image."""
-        return self.both[:, self.shape.hw[1] + 2 * MARGIN_PX :]
+        """(W + 8 + D - 1, N, H + 8) grey values of the right image."""
+        return self.both[self.shape.hw[1] + 2 * MARGIN_PX :]
 
     @property
     def first(self) -> FloatArray:
@@ -105,27 +106,22 @@ class BoxTiles:
         return np.asarray(self.first_px.reshape(shape) + index * self.scale[0].reshape(shape))
 
     def pixel_positions(self) -> tuple[FloatArray, FloatArray]:
-        """U (W, N) of the columns and v (H, N) of the rows of the tiles, without the margin."""
+        """U (W, N) of the columns and v (N, H) of the rows of the tiles, without the margin."""
         (height, width), (cell_height, cell_width) = self.shape.hw, self.shape.cell_hw
-        column = np.arange(width)[:, None] + 0.5 - cell_width
-        row = np.arange(height)[:, None] + 0.5 - cell_height
+        column = (np.arange(width) + 0.5 - cell_width) / cell_width
+        row = (np.arange(height) + 0.5 - cell_height) / cell_height
         step_u, step_v = self.u[:, 1] - self.u[:, 0], self.v[:, N_SIDE] - self.v[:, 0]
-        return self.u[:, 0] + column * step_u / cell_width, self.v[
-            :, 0
-        ] + row * step_v / cell_height
+        return self.u[:, 0] + column[:, None] * step_u, self.v[:, :1] + row * step_v[:, None]
 
 
 def tile_scale(xyxy_px: FloatArray, shape: TileShape) -> FloatArray:
     """(2, N) scales in x and y of the tiles of boxes (N, 4)."""
     size_px = (xyxy_px[:, 2:] - xyxy_px[:, :2]).T
-    required = np.maximum(
-        _BOX_FRACTION * size_px / np.array(shape.hw[::-1])[:, None], shape.min_scale
-    )
+    tile_wh = np.array(shape.hw[::-1])[:, None]
+    required = np.maximum(_BOX_FRACTION * size_px / tile_wh, shape.min_scale)
     required = np.minimum(required, _MAX_ASPECT * required[::-1])
     allowed = _SCALES * (shape.min_scale / FINE.min_scale)
-    return np.asarray(
-        allowed[np.minimum(np.searchsorted(allowed, required - 1e-9), len(allowed) - 1)]
-    )
+    return np.asarray(allowed.take(allowed.searchsorted(required - 1e-9), mode="clip"))
 
 
 def box_tiles(
@@ -135,119 +131,129 @@ def box_tiles(
     first_px: FloatArray,
     n_disparities: int,
     shape: TileShape,
+    *,
+    scale: FloatArray | None = None,
 ) -> BoxTiles:
     """The tiles of boxes (N, 4) inside the left image, grey or BGR; only their pixels and strips
     are read.
 
     `first_px` (N,) are the smallest disparities, rounded to whole pixels, `n_disparities` is the
-    smallest D.
+    smallest D, `scale` (2, N) the result of `tile_scale` if it is known.
     """
     n_disparities = -(-(n_disparities - 1) // _STEPS_MULTIPLE) * _STEPS_MULTIPLE + 1
-    n, (height, width) = len(xyxy_px), shape.hw
-    scale = tile_scale(xyxy_px, shape)
+    height, width = (side + 2 * MARGIN_PX for side in shape.hw)
+    strip_width = width + n_disparities - 1
+    if scale is None:
+        scale = tile_scale(xyxy_px, shape)
     centre_px = (xyxy_px[:, :2] + xyxy_px[:, 2:]).T / 2 + 0.5  # coordinates of pixel edges
-    tile_wh = np.array([[width + 2 * MARGIN_PX], [height + 2 * MARGIN_PX]])
-    start_px = np.rint(centre_px - tile_wh * scale / 2).astype(np.int64)
+    side_px = np.array([[width], [height]]) * scale
+    start_px = np.rint(centre_px - side_px / 2)
     # Column j of the strip shows the tile's column j at the largest disparity.
-    reach_px = np.rint(first_px) + (n_disparities - 1) * scale[0]
-    strip_px = start_px[0] - np.ceil(reach_px).astype(np.int64)
-    first_px = start_px[0] - strip_px - (n_disparities - 1) * scale[0]
-    strip_width = width + 2 * MARGIN_PX + n_disparities - 1
-
-    both = np.empty((n, tile_wh[1, 0], tile_wh[0, 0] + strip_width), np.uint8)
-    left_tiles, strips = both[:, :, : tile_wh[0, 0]], both[:, :, tile_wh[0, 0] :]
-    tops, starts = start_px[1].tolist(), start_px[0].tolist()
-    bottoms = np.rint(start_px[1] + tile_wh[1] * scale[1]).astype(np.int64).tolist()
-    ends = np.rint(start_px[0] + tile_wh[0] * scale[0]).astype(np.int64).tolist()
-    strip_ends = np.rint(strip_px + strip_width * scale[0]).astype(np.int64).tolist()
-    for i, strip_start in enumerate(strip_px.tolist()):
-        _resample(left, tops[i], bottoms[i], starts[i], ends[i], left_tiles[i])
-        _resample(right, tops[i], bottoms[i], strip_start, strip_ends[i], strips[i])
-
+    range_px = (n_disparities - 1) * scale[0]
+    strip_px = start_px[0] - np.ceil(np.rint(first_px) + range_px)
+    # (N, 6) left, right and strip's left and right edge, then top and bottom of the tiles, whole px
+    strip_end_px = strip_px + strip_width * scale[0]
+    end_px = start_px + side_px
+    edges = np.stack([start_px[0], end_px[0], strip_px, strip_end_px, start_px[1], end_px[1]], 1)
+    image_hw = left.shape[0], left.shape[1]
+    both = _resampled(left, right, np.rint(edges), (height, width + strip_width))
     column_px = strip_px + (np.arange(strip_width)[:, None] + 0.5) * scale[0]
-    u, v, is_used = _window_positions(
-        xyxy_px, (centre_px - start_px) / scale - MARGIN_PX, scale, shape
-    )
-    is_used &= _is_inside(start_px, scale, shape, (left.shape[0], left.shape[1]))
+    start = start_px / scale
+    centre = centre_px / scale - start - MARGIN_PX
+    size = (xyxy_px[:, 2:] - xyxy_px[:, :2]).T / scale
+    image_size = np.array(image_hw[::-1])[:, None] / scale
     return BoxTiles(
         shape,
-        np.ascontiguousarray(both.transpose(1, 2, 0)),
+        both,
         scale,
-        np.asarray(first_px, np.float64),
+        start_px[0] - strip_px - range_px,
         n_disparities,
-        u,
-        v,
-        is_used,
-        (column_px > 0) & (column_px < left.shape[1]),
+        *_windows(centre, size, start, image_size, shape),
+        (column_px > 0) & (column_px < image_hw[1]),
     )
 
 
-def _window_positions(
-    xyxy_px: FloatArray, centre: FloatArray, scale: FloatArray, shape: TileShape
+def _windows(
+    centre: FloatArray,
+    size: FloatArray,
+    start: FloatArray,
+    image_size: FloatArray,
+    shape: TileShape,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """U, v (N, G) of the windows' centres, and whether they are inside the box; `centre` (2, N) of
-    the box in px.
+    """U, v (N, G) of the windows' centres, and whether the windows are inside the box and the image.
+
+    All (2, N) in x and y, px of the tile: centre of the box from the tile's first pixel, size of
+    the box, the tile's first pixel with its margin from that of the image, size of the image.
     """
-    size = (xyxy_px[:, 2:] - xyxy_px[:, :2]).T / scale
-    steps = np.arange(1, N_SIDE + 1)
-    u = (steps * shape.cell_hw[1] - centre[0][:, None]) / size[0][:, None]
-    v = (steps * shape.cell_hw[0] - centre[1][:, None]) / size[1][:, None]
-    u, v = np.tile(u, (1, N_SIDE)), np.repeat(v, N_SIDE, axis=1)
+    cell = np.array(shape.cell_hw[::-1])[:, None]
+    first = (np.arange(N_SIDE) * cell)[:, None]  # (2, 1, 7) first pixels of the windows
+    position = (first + (cell - centre)[..., None]) / size[..., None]  # (2, N, 7)
+    distance = np.abs(position)
     # In a small box, even the windows nearest to its centre may reach beyond it.
-    inside = 0.5 - _OVERHANG * 2 * np.array(shape.cell_hw[::-1])[:, None] / size
-    limit_u = np.maximum(inside[0][:, None], np.abs(u).min(axis=1, keepdims=True) + 1e-6)
-    limit_v = np.maximum(inside[1][:, None], np.abs(v).min(axis=1, keepdims=True) + 1e-6)
-    return u, v, (np.abs(u) <= limit_u) & (np.abs(v) <= limit_v)
+    limit = np.maximum(0.5 - _OVERHANG * 2 * cell / size, distance.min(axis=2) + 1e-6)
+    in_image = first + (start + MARGIN_PX)[..., None]
+    is_used = distance <= limit[..., None]
+    is_used &= (in_image >= -0.5) & (in_image <= (image_size + 0.5 - 2 * cell)[..., None])
+    grid = np.empty((2, size.shape[1], N_SIDE, N_SIDE))
+    grid[0], grid[1] = position[0][:, None], position[1][..., None]
+    u, v = grid.reshape(2, -1, N_WINDOWS)
+    return u, v, (is_used[1][:, :, None] & is_used[0][:, None]).reshape(u.shape)
 
 
-def _is_inside(
-    start_px: IntArray, scale: FloatArray, shape: TileShape, image_hw: tuple[int, int]
-) -> BoolArray:
-    """(N, G) windows of tiles that lie entirely in the left image."""
-    inside = []
-    for axis, (cell, side_px) in enumerate(zip(shape.cell_hw[::-1], image_hw[::-1], strict=True)):
-        first = np.arange(N_SIDE) * cell + MARGIN_PX
-        first_px = start_px[axis][:, None] + first * scale[axis][:, None]
-        last_px = first_px + 2 * cell * scale[axis][:, None]
-        inside.append(
-            (first_px >= -0.5 * scale[axis][:, None])
-            & (last_px <= side_px + 0.5 * scale[axis][:, None])
-        )
-    return np.asarray((inside[1][:, :, None] & inside[0][:, None, :]).reshape(len(scale[0]), -1))
-
-
-def _resample(image: ImageView, top: int, bottom: int, start: int, end: int, tile: Grey) -> None:
-    """Fill a tile with means of the grey pixels [top:bottom, start:end]; outside the image, its
-    border is repeated.
+def _resampled(left: Image, right: ImageView, edges: FloatArray, tile_hw: tuple[int, int]) -> Grey:
+    """(W', N, H) means of the grey pixels between edges (N, 6) as in `box_tiles`, the tile and the
+    strip of a box in a row of W' pixels; outside the images, their border is repeated.
     """
-    height, width = image.shape[:2]
-    inside = max(top, 0), min(bottom, height), max(start, 0), min(end, width)
-    if inside[0] >= inside[1] or inside[2] >= inside[3]:
-        tile[:] = 0
-        return
-    crop = image[inside[0] : inside[1], inside[2] : inside[3]]
-    grey = cv2.cvtColor(crop, cv2.COLOR_BGR2GRAY) if crop.ndim == 3 else crop
-    if inside != (top, bottom, start, end):
-        border = (inside[0] - top, bottom - inside[1], inside[2] - start, end - inside[3])
-        grey = cv2.copyMakeBorder(grey, *border, cv2.BORDER_REPLICATE)
-    tile[:] = (
-        grey
-        if grey.shape == tile.shape
-        else cv2.resize(grey, tile.shape[::-1], interpolation=cv2.INTER_AREA)
-    )
+    n, (height, width) = len(edges), left.shape[:2]
+    limits = np.array([width] * 4 + [height] * 2)
+    inside = np.minimum(np.maximum(edges, 0), limits)
+    border = np.abs(inside - edges).astype(np.int64)
+    is_cut = border.any(axis=1).tolist()
+    both = np.empty((n, *tile_hw), np.uint8)
+    for i, (x1, x2, strip_x1, strip_x2, y1, y2) in enumerate(inside.astype(np.int64).tolist()):
+        tile, strip = left[y1:y2, x1:x2], right[y1:y2, strip_x1:strip_x2]
+        if is_cut[i]:
+            start, end, strip_start, strip_end, top, bottom = border[i].tolist()
+            tile = _padded_grey(tile, (top, bottom, start, end))
+            strip = _padded_grey(strip, (top, bottom, strip_start, strip_end))
+        else:
+            tile, strip = grey(tile), grey(strip)
+        # One call resamples both: their widths are whole pixels of the image and of the tile.
+        row = cv2.hconcat((tile, strip))
+        if row.shape != tile_hw:
+            row = cv2.resize(row, tile_hw[::-1], interpolation=cv2.INTER_AREA)
+        both[i] = row
+    columns = cv2.transpose(both.reshape(-1, tile_hw[1]))
+    return np.asarray(columns, np.uint8).reshape(-1, n, tile_hw[0])
 
 
-def window_sums(values: FloatArray32, cell_hw: tuple[int, int]) -> FloatArray32:
-    """(K, 7, 7, N) sums over the windows of K arrays (K, H, W, N), as products with matrices of 0
-    and 1.
+def _padded_grey(image: Image, border: tuple[int, int, int, int]) -> Grey:
+    """A part of an image in grey with its border repeated at the top, bottom, left and right; black
+    where there is no part.
     """
-    n_arrays, height, width, n = values.shape
-    down = _window_matrix(cell_hw[0]) @ values.reshape(n_arrays, height, width * n)
-    return np.asarray(_window_matrix(cell_hw[1]) @ down.reshape(n_arrays, N_SIDE, width, n))
+    if image.size:
+        return np.asarray(cv2.copyMakeBorder(grey(image), *border, cv2.BORDER_REPLICATE), np.uint8)
+    top, bottom, start, end = border
+    return np.zeros((image.shape[0] + top + bottom, image.shape[1] + start + end), np.uint8)
+
+
+def window_sums(
+    values: FloatArray32, cell_hw: tuple[int, int], *, column_step: int = 1
+) -> FloatArray32:
+    """(K, N, G) sums over the windows of K arrays (K, W, N, H).
+
+    Of every `column_step`-th column, the arrays hold W / column_step columns.
+    """
+    n_arrays, _, n, height = values.shape
+    by_cell = values.reshape(n_arrays, N_CELLS, cell_hw[1] // column_step, n * height).sum(axis=2)
+    across = (by_cell[:, :-1] + by_cell[:, 1:]).reshape(-1, height)
+    sums = across @ _window_matrix(cell_hw[0])
+    by_box = sums.reshape(n_arrays, N_SIDE, n, N_SIDE).transpose(0, 2, 3, 1)
+    return np.asarray(by_box.reshape(n_arrays, n, N_WINDOWS))
 
 
 @lru_cache
 def _window_matrix(cell: int) -> FloatArray32:
-    """(7, 8 * cell) masks of the windows along one axis: 1 = the pixel belongs to the window."""
-    first, pixel = cell * np.arange(N_SIDE)[:, None], np.arange(N_CELLS * cell)
+    """(8 * cell, 7) masks of the windows along one axis: 1 = the pixel belongs to the window."""
+    first, pixel = cell * np.arange(N_SIDE), np.arange(N_CELLS * cell)[:, None]
     return np.asarray((pixel >= first) & (pixel < first + 2 * cell), np.float32)

@@ -214,9 +214,6 @@ def test_a_person_in_a_third_of_its_box() -> None:
     assert of_box(images)[0] == pytest.approx(25, abs=0.15)
 
 
-@pytest.mark.xfail(
-    strict=True, reason="windows on the edge between the halves pull the nearer one by 0.7 px"
-)
 def test_a_half_is_exact() -> None:
     errors = [
         of_box(pair_of_two(COLUMNS < 240, front_px=40, behind_px=20, seed=seed), prior_px=40.0)[0]

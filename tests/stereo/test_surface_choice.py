@@ -37,7 +37,7 @@ def features_of(
     track_px: float = NONE,
     others_fraction: FloatArray | None = None,
     weight: FloatArray = WEIGHT,
-) -> tuple[dict[str, FloatArray], Surfaces]:
+) -> tuple[FloatArray, Surfaces]:
     """Features and surfaces of one box, from disparities (1, G) in px."""
     surfaces = find_surfaces(disparity - 12.0, weight, TILES)
     phi = features(
@@ -149,7 +149,7 @@ def test_features_by_hand() -> None:
     phi, surfaces = features_of(
         np.where(np.abs(U) < 0.05, 40.0, 20.0), by_size_px=20.0, track_px=20.0
     )
-    assert set(phi) == set(THETA)
+    phi = dict(zip(THETA, phi, strict=True))
     front = int(np.nanargmax(surfaces.disparity[:, 0]))
     behind = 1 - front
     assert phi["area"][front, 0] == pytest.approx(np.log(7 / 49 + 0.05), abs=1e-6)

@@ -39,8 +39,8 @@ def test_tile_of_a_box_by_hand() -> None:
     tiles = tiles_of((left, right), first_px=12.0, n_disparities=9)
     assert tiles.scale[:, 0].tolist() == [1.0, 1.0]
     # 4 px around columns 200 .. 247, rows 50 .. 81
-    assert np.array_equal(tiles.left[:, :, 0], left[46:86, 196:252])
-    assert np.array_equal(tiles.right[:, :, 0], right[46:86, 196 - 20 : 252 - 12])
+    assert np.array_equal(tiles.left[:, 0].T, left[46:86, 196:252])
+    assert np.array_equal(tiles.right[:, 0].T, right[46:86, 196 - 20 : 252 - 12])
     assert tiles.is_used.all()
     assert tiles.is_seen.all()
     assert tiles.u[0].reshape(7, 7)[2] == pytest.approx(
@@ -102,23 +102,23 @@ def test_whole_shifts_give_equal_pixels(scale: float, shape: TileShape) -> None:
         index = (shift - float(tiles.first_px[0])) / float(tiles.scale[0, 0])
         assert index == pytest.approx(round(index))
         start = 16 - round(index)
-        width = tiles.left.shape[1]
+        width = tiles.left.shape[0]
         seen = tiles.is_seen[start : start + width, 0]
         assert seen.all()
-        assert np.array_equal(tiles.right[:, start : start + width, 0], tiles.left[:, :, 0])
+        assert np.array_equal(tiles.right[start : start + width, 0], tiles.left[:, 0])
 
 
 def test_resampled_pixels_are_means() -> None:
     tiles = tiles_of((LARGE, LARGE), box_of_scale(2.0), first_px=0.0)
     crop = LARGE[200 - 40 :, 300 - 56 :][:80, :112]  # 40 x 56 px of the tile about (300, 200)
     expected = crop.reshape(40, 2, 56, 2).mean(axis=(1, 3))
-    assert np.abs(tiles.left[:, :, 0] - expected).max() <= 0.5
+    assert np.abs(tiles.left[:, 0].T - expected).max() <= 0.5
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.5, 4.0])
 def test_pixel_positions_average_to_windows(scale: float) -> None:
     tiles = tiles_of((LARGE, LARGE), box_of_scale(scale))
-    column_u, row_v = (positions[:, 0] for positions in tiles.pixel_positions())
+    column_u, row_v = (positions.squeeze() for positions in tiles.pixel_positions())
     assert (column_u.shape, row_v.shape) == ((48,), (32,))
     for row in range(N_SIDE):
         for column in range(N_SIDE):
@@ -156,7 +156,7 @@ def test_strip_outside_the_right_image() -> None:
     first = 16 - 10 - 16  # column of the image at the strip's first column
     assert tiles.is_seen[:, 0].tolist() == [0 <= first + j < 400 for j in range(72)]
     # the border is repeated
-    assert np.array_equal(tiles.right[:, :10, 0], np.repeat(right[46:86, :1], 10, axis=1))
+    assert np.array_equal(tiles.right[:10, 0].T, np.repeat(right[46:86, :1], 10, axis=1))
     beyond = tiles_of((left, right), (19.5, 49.5, 67.5, 81.5), first_px=300.0)
     assert not beyond.is_seen.any()
     assert not beyond.right.any()
@@ -178,8 +178,8 @@ def test_used_windows_are_in_box_and_image(
     box[2:] = box[:2] + size_px
     image = np.zeros(image_hw, np.uint8)
     tiles = box_tiles(image, image, box[None], np.array([3.0]), 9, shape)
-    assert tiles.left.shape == (shape.hw[0] + 2 * MARGIN_PX, shape.hw[1] + 2 * MARGIN_PX, 1)
-    assert tiles.right.shape[1] == tiles.left.shape[1] + 8
+    assert tiles.left.shape == (shape.hw[1] + 2 * MARGIN_PX, 1, shape.hw[0] + 2 * MARGIN_PX)
+    assert len(tiles.right) == len(tiles.left) + 8
     assert tiles.u.shape == tiles.v.shape == tiles.is_used.shape == (1, N_WINDOWS)
     assert abs(tiles.first_px[0] - 3.0) <= 1.0
     for axis, (position, cell, side_px) in enumerate(
@@ -209,7 +209,7 @@ def test_tiles_of_boxes_are_independent() -> None:
     for i, box in enumerate(boxes):
         alone = tiles_of(images, box)
         for name in ("left", "right", "scale", "is_seen"):
-            assert np.array_equal(getattr(together, name)[..., i], getattr(alone, name)[..., 0])
+            assert np.array_equal(getattr(together, name)[:, i], getattr(alone, name)[:, 0])
         for name in ("first_px", "u", "v", "is_used"):
             assert np.array_equal(getattr(together, name)[i], getattr(alone, name)[0])
 

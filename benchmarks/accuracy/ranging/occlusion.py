@@ -233,11 +233,10 @@ def surface_choice(options: Namespace) -> Figures:
     (`stereo.matching.surface_choice.THETA`, `ETA`), with cross-validation of the choice.
     """
     parts: dict[str, list[_Examples]] = {way: [] for way in WAYS}
-    names: list[str] = []
+    names = list(THETA)
     rng = np.random.default_rng(0)
     for image in unrelated_pairs(range(options.seeds)):
         for way, search, rows in _searches(image, rng):
-            names = list(search.phi)
             parts[way].append(_examples(search, image, rows))
     of_all = {way: _joined(part) for way, part in parts.items()}
     examples = {way: part.select(part.is_scored) for way, part in of_all.items()}
@@ -337,7 +336,7 @@ def _examples(search: SurfaceSearch, image: OcclusionPair, rows: IntArray) -> _E
     with np.errstate(invalid="ignore", divide="ignore"):
         error = np.abs(image.pair.true_px[rows] / search.disparity_px - 1.0)
     is_surface = np.isfinite(search.surfaces.centre) & (search.surfaces.disparity > 0)
-    features = np.where(is_surface[..., None], np.stack(list(search.phi.values()), axis=2), 0.0)
+    features = np.where(is_surface[..., None], search.phi.transpose(1, 2, 0), 0.0)
     return _Examples(
         features,
         np.where(is_surface, error, np.inf),

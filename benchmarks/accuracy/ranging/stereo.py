@@ -65,7 +65,7 @@ class SpeedScene:
     option("--pairs", default=REAL_DATA / "kitti2015", help="folder in the layout of KITTI 2015"),
     option("--scenes", default=4, help="number of pairs per image size"),
     option("--rounds", default=5, help="number of rounds"),
-    option("--seeds", default=3, help="number of simulated drives"),
+    option("--seeds", default=3, help="number of simulated drives, 0 = only the time"),
     option("--fps", default=2.5, help="frame rate of the simulated drives, of 6 s each"),
 )
 def stereo(options: Namespace) -> Figures:
@@ -172,6 +172,9 @@ def _jobs(scene: SpeedScene) -> dict[str, Callable[[], object]]:
     dense = {mode: Sgbm(SgbmSettings(n_disparities=N_DISPARITIES, mode=mode)) for mode in MODES}
     return {
         "patch, prior": lambda: patch.match(scene.left, scene.right, scene.xyxy_px, prior_px),
+        "patch, prior, two boxes": lambda: patch.match(
+            scene.left, scene.right, scene.xyxy_px[:2], prior_px[:2]
+        ),
         "patch, full range": lambda: patch.match(
             scene.left, scene.right, scene.xyxy_px, no_prior_px
         ),
