@@ -10,9 +10,9 @@ disparities, with g the left tile's derivative along the row,
 The gain a and the bias b belong to each window, so that the cameras' exposures may differ, as with
 census. The derivative is the left tile's in both iterations. The first one uses every third column
 and interpolates right(x - d) linearly, the last one by a cubic, which shifts all frequencies of a
-smoothed image by nearly the same amount: no fraction of a pixel is preferred. The variance of d follows from the least squares,
-with the residuals as the noise. The surface is fitted again to the windows that the grey values
-confirm.
+smoothed image by nearly the same amount: no fraction of a pixel is preferred. The variance of d
+follows from the least squares, with the residuals as the noise. The surface is fitted again to the
+windows that the grey values confirm.
 
 A vertical offset between the images shifts slanted edges sideways: on KITTI's cars by up to half a
 pixel per pixel. So one vertical offset per box is fitted to the residuals, and its effect on each
