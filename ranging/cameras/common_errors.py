@@ -8,11 +8,14 @@ A fraction of the objects are outliers. Near and far objects separate s and o.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray
+
+AnyFloats = npt.NDArray[np.floating[Any]]
 
 # fraction of objects with a mismatch or a wrong class, and their sigma
 _OUTLIER, _OUTLIER_SIGMA = 0.1, 1.0
@@ -25,6 +28,7 @@ _OFFSET_STEP_PX, _MAX_OFFSET_PX = 0.5, 12.0
 _OFFSETS_PX = np.arange(-_MAX_OFFSET_PX, _MAX_OFFSET_PX + 1e-9, _OFFSET_STEP_PX)
 OFFSET_SIGMA_PX = 6.0
 _MAX_OBJECTS = 60  # with the least variance, for two errors; more do not change the estimate
+_LEAST_LIKELIHOOD = 1e-30  # of an object, within single precision
 _MIN_RATIO = 0.05  # smallest ratio of the true and the measured disparity
 
 
@@ -65,8 +69,10 @@ def common_errors(
     value, variance, inverse_px = value[best], variance[best], inverse_px[best]
     moved = np.log(np.maximum(1.0 + _OFFSETS_PX * inverse_px[:, None], _MIN_RATIO))  # (K, O)
     log_p = -0.5 * np.tile((_OFFSETS_PX / OFFSET_SIGMA_PX) ** 2, (len(_LOG), 1))  # (G, O)
-    for of_object, at_offset, own in zip(value, moved, variance, strict=True):
-        log_p += _log_likelihood(of_object - at_offset - _LOG[:, None], own)
+    # with single precision, which takes a third of the time: errors of 1e-6 in the result
+    at_offsets, scales = np.float32(value[:, None] - moved), np.float32(_LOG[:, None])
+    for at_offset, own in zip(at_offsets, variance.tolist(), strict=True):
+        log_p += _log_likelihood(at_offset - scales, own)
     weight = _normalised(log_p)
     mean = np.array([weight.sum(axis=1) @ _LOG, weight.sum(axis=0) @ _OFFSETS_PX])
     scale, offset = _LOG[:, None] - mean[0], _OFFSETS_PX - mean[1]
@@ -79,11 +85,13 @@ def common_errors(
     return CommonErrors(mean, np.linalg.inv(covariance))
 
 
-def _log_likelihood(difference: FloatArray, variance: FloatArray | float) -> FloatArray:
-    sigma = np.sqrt(variance + _MIN_OBJECT_SIGMA**2)
-    near = (1 - _OUTLIER) / sigma * np.exp(-0.5 * (difference / sigma) ** 2)
-    far = _OUTLIER / _OUTLIER_SIGMA * np.exp(-0.5 * (difference / _OUTLIER_SIGMA) ** 2)
-    return np.asarray(np.log(near + far))
+def _log_likelihood(difference: AnyFloats, variance: FloatArray | float) -> AnyFloats:
+    """The logarithm for each difference, in its precision."""
+    own_variance = variance + _MIN_OBJECT_SIGMA**2
+    squared = -0.5 * difference * difference
+    near = np.exp(squared / own_variance) * ((1 - _OUTLIER) / own_variance**0.5)
+    far = np.exp(squared / _OUTLIER_SIGMA**2) * (_OUTLIER / _OUTLIER_SIGMA)
+    return np.log(np.maximum(near + far, _LEAST_LIKELIHOOD))
 
 
 def _normalised(log_p: FloatArray) -> FloatArray:

@@ -5,6 +5,7 @@ contradicts.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Self
 
 from track_range.ranging.cameras.causes import ScaleDoubt
@@ -64,25 +65,30 @@ class Doubt:
         if scale is not None and scale.cause_names == [Unknown.SPEED]:
             unused = {Unknown.SPEED}
 
-        def sigma_of(of: Sum) -> float:
+        @cache
+        def sigma_of(coefficients: tuple[tuple[Unknown, float], ...]) -> float:
+            of = dict(coefficients)
             if of == OF_PAIR:
                 return _sigma_of_pair(cameras, rig, focal)
             corrected = of.get(Unknown.FOCAL, 0.0) * focal.log_factor
             return cameras.sigma_of({k: v for k, v in of.items() if k not in unused}, corrected)
 
+        def largest(sums: Sequence[Sum]) -> float:
+            return max((sigma_of(tuple(of.items())) for of in sums), default=0.0)
+
         of_odometry, by_odometry = _OF_ROAD, corrected.road
         if Unknown.BASELINE in cameras.unknowns:
             of_odometry, by_odometry = OF_PAIR, rig
         # what is corrected has the error of its correction
-        odometry_sigma = 0.0 if by_odometry.sigma else sigma_of(of_odometry)
+        odometry_sigma = 0.0 if by_odometry.sigma else largest([of_odometry])
         # speeds by images have the error of the times, too
         times_sigma = cameras.sigma_of(_OF_TIMES)
         return cls(
             scale,
-            {name: max(map(sigma_of, sums)) for name, sums in errors.items()},
+            {name: largest(sums) for name, sums in errors.items()},
             math.hypot(odometry_sigma, times_sigma),
             cameras.sigma_of(_OF_SPEED),
-            math.hypot(max(map(sigma_of, errors.get("fused", ())), default=0.0), times_sigma),
+            math.hypot(largest(errors.get("fused", ())), times_sigma),
         )
 
     def zoomed(self, focal_change: float) -> Self:

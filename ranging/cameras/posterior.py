@@ -39,6 +39,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.special import logsumexp, ndtr
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
@@ -52,9 +53,10 @@ from track_range.ranging.cameras.unknowns import (
     unusual,
 )
 
-_WITHIN = 2 * ndtr([2.0, 1.0]) - 1  # probabilities of errors within 2 and 1 sigma
-_N_BISECTIONS = 30
-_MAX_ERROR = 20.0  # largest relative error that sigma can have
+_SIGMAS = {sigmas: 2 * float(ndtr(sigmas)) - 1 for sigmas in (2.0, 1.0)}
+"""Probability of errors within 2 sigma and within 1 sigma."""
+
+_MAX_ERROR, _PRECISION = 20.0, 1e-9  # largest relative error that sigma can have; that of sigma
 # parts of a curve, and the smallest log weight of a component relative to the largest one
 _N_PARTS, _MIN_LOG_WEIGHT = 24, -10.0
 
@@ -150,13 +152,22 @@ def _covering(weight: FloatArray, error: FloatArray, sigma: FloatArray) -> float
     """The standard deviation that covers normal errors of mean `error` and `sigma` (C,) with the
     probabilities `weight`.
     """
-    low, high = np.zeros(2), np.full(2, _MAX_ERROR)
-    for _ in range(_N_BISECTIONS):
-        middle = (low + high) / 2
-        within = ndtr((middle[:, None] - error) / sigma) - ndtr((-middle[:, None] - error) / sigma)
-        is_below = within @ weight < _WITHIN
-        low, high = np.where(is_below, middle, low), np.where(is_below, high, middle)
-    return max(float(high[0]) / 2, float(high[1]))
+
+    def excess(reach: float, probability: float) -> float:
+        """How much more probable errors up to `reach` are."""
+        within = ndtr((reach - error) / sigma) - ndtr((-reach - error) / sigma)
+        return float(within @ weight) - probability
+
+    rms = math.sqrt(weight @ (error * error + sigma * sigma))
+    sigmas = []
+    for n_sigmas, probability in _SIGMAS.items():
+        # by Chebyshev's inequality, no error distribution reaches farther
+        most = min(1.01 * rms / math.sqrt(1.0 - probability), _MAX_ERROR)
+        reach = most
+        if excess(most, probability) > 0:
+            reach = brentq(excess, 0.0, most, (probability,), _PRECISION, _PRECISION)
+        sigmas.append(reach / n_sigmas)
+    return max(sigmas)
 
 
 def posterior(

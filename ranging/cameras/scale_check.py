@@ -113,6 +113,8 @@ class ScaleCheck:
         self.doubt: ScaleDoubt | None = None  # the latest finding; None = no contradiction
         self.agreement = self.height_agreement = Agreement(1.0, math.inf, "", 0.0)
         self.cameras: CameraPosterior = posterior(priors, [])
+        # of a pair, beside that of the focal length; of lengths by the motion of the road
+        self.rig_scale, self.road_scale = self._scales()
 
     def use(self, known: KnownDistances) -> None:
         """Take distances that the user measured into account, from the next frame on."""
@@ -141,8 +143,12 @@ class ScaleCheck:
         """The focal length as the drive shows it; None = it is known, or as before the drive."""
         return None if self._focal is None else self._focal.estimate
 
-    @property
-    def rig_scale(self) -> RigScale:
+    def _scales(self) -> tuple[RigScale, RigScale]:
+        """`rig_scale` and `road_scale` by the posterior."""
+        rig = self._rig_scale()
+        return rig, self._road_scale(rig)
+
+    def _rig_scale(self) -> RigScale:
         """The scale of a pair, as far as it has to be estimated from the drive, beside that of the
         focal length.
         """
@@ -173,15 +179,13 @@ class ScaleCheck:
             centre=-cameras.covariance_of(of, OF_PAIR) / variance,
         )
 
-    @property
-    def road_scale(self) -> RigScale:
+    def _road_scale(self, rig: RigScale) -> RigScale:
         """The scale of lengths by the motion of the road, with which they have the scale of all
-        others; a given height needs no correction.
+        others, as that of the `rig`; a given height needs no correction.
         """
-        assumed = self.priors[Unknown.HEIGHT]
+        assumed, has_rig = self.priors[Unknown.HEIGHT], Unknown.BASELINE in self.priors
         if assumed.kind == "given":
             return CALIBRATED
-        has_rig, rig = Unknown.BASELINE in self.priors, self.rig_scale
         if not rig.is_known:
             return UNKNOWN_SCALE
         of = _RIG_HEIGHT if has_rig else _ROAD_HEIGHT
@@ -306,6 +310,7 @@ class ScaleCheck:
         self.cameras = posterior(priors, evidence, bounds=bounds)
         if self._focal is not None:
             self._focal.update(priors, evidence, self.cameras, time_s)
+        self.rig_scale, self.road_scale = self._scales()
         self._evidence_names = names = self._names(evidence)
         if Unknown.BASELINE in self.priors:
             self.agreement = self._agreement(Unknown.BASELINE, priors, evidence, names)

@@ -47,6 +47,9 @@ class DoubtStage:
         check = self.check
         if check is None:
             return scale
+        known = scale.rig, scale.road, scale.focal
+        if known == (check.rig_scale, check.road_scale, check.focal_scale):
+            return scale
         return replace(scale, rig=check.rig_scale, road=check.road_scale, focal=check.focal_scale)
 
     def update(
