@@ -70,7 +70,8 @@ def common_errors(
     moved = np.log(np.maximum(1.0 + _OFFSETS_PX * inverse_px[:, None], _MIN_RATIO))  # (K, O)
     log_p = -0.5 * np.tile((_OFFSETS_PX / OFFSET_SIGMA_PX) ** 2, (len(_LOG), 1))  # (G, O)
     # with single precision, which takes a third of the time: errors of 1e-6 in the result
-    at_offsets, scales = np.float32(value[:, None] - moved), np.float32(_LOG[:, None])
+    at_offsets = (value[:, None] - moved).astype(np.float32)
+    scales = _LOG[:, None].astype(np.float32)
     for at_offset, own in zip(at_offsets, variance.tolist(), strict=True):
         log_p += _log_likelihood(at_offset - scales, own)
     weight = _normalised(log_p)

@@ -111,7 +111,8 @@ class ScaleCheck:
         # starts and ends of former doubts
         self._past_s: deque[tuple[float, float]] = deque(maxlen=_MAX_SPANS)
         self.doubt: ScaleDoubt | None = None  # the latest finding; None = no contradiction
-        self.agreement = self.height_agreement = Agreement(1.0, math.inf, "", 0.0)
+        # the priors and the evidence of the latest evaluation
+        self._evaluated: tuple[CameraPriors, Sequence[Evidence]] = (priors, ())
         self.cameras: CameraPosterior = posterior(priors, [])
         # of a pair, beside that of the focal length; of lengths by the motion of the road
         self.rig_scale, self.road_scale = self._scales()
@@ -251,7 +252,8 @@ class ScaleCheck:
             )
         if self.doubt is not None:
             return (*past, f"{self.sentence} {_EFFECT}")
-        if self.height_agreement.is_contrary:
+        is_height_given = self.priors[Unknown.HEIGHT].kind == "given"
+        if is_height_given and self.height_agreement.is_contrary:
             past = (*past, self.height_agreement.sentence)
         is_checked = self.baseline_m is not None and self._is_calibrated
         return (*past, self.sentence) if is_checked else past
@@ -293,9 +295,10 @@ class ScaleCheck:
         if learnt := self._learnt:
             sections["learnt_scale"] = learnt
         elif self.baseline_m is not None and self._is_calibrated:
+            agreement = self.agreement
             sections["baseline_check"] = {
-                "sigma": self.agreement.sigma if self.agreement.sigma <= SHOWN_SIGMA else None,
-                "evidence": self.agreement.evidence,
+                "sigma": agreement.sigma if agreement.sigma <= SHOWN_SIGMA else None,
+                "evidence": agreement.evidence,
             }
         return sections
 
@@ -311,23 +314,31 @@ class ScaleCheck:
         if self._focal is not None:
             self._focal.update(priors, evidence, self.cameras, time_s)
         self.rig_scale, self.road_scale = self._scales()
+        self._evaluated = priors, evidence
         self._evidence_names = names = self._names(evidence)
-        if Unknown.BASELINE in self.priors:
-            self.agreement = self._agreement(Unknown.BASELINE, priors, evidence, names)
-        if is_height_given:
-            of_height = [item for item in evidence if Unknown.HEIGHT in item.of]
-            by = _listed([item.name for item in of_height])
-            self.height_agreement = self._agreement(Unknown.HEIGHT, priors, evidence, by)
         before, self.doubt = self.doubt, self._contradiction(names)
         if before is None and self.doubt is not None:
             self._since_s = time_s
         elif before is not None and self.doubt is None:
             self._past_s.append((self._since_s, time_s))
 
-    def _agreement(
-        self, of: Unknown, priors: CameraPriors, evidence: Sequence[Evidence], names: str
-    ) -> Agreement:
-        """The value that the drive shows by itself."""
+    @property
+    def agreement(self) -> Agreement:
+        """The baseline that the drive shows by itself; unknown without a pair."""
+        return self._agreement(Unknown.BASELINE, self._evidence_names)
+
+    @property
+    def height_agreement(self) -> Agreement:
+        """The same of a given height of the camera."""
+        _, evidence = self._evaluated
+        of_height = [item.name for item in evidence if Unknown.HEIGHT in item.of]
+        return self._agreement(Unknown.HEIGHT, _listed(of_height))
+
+    def _agreement(self, of: Unknown, names: str) -> Agreement:
+        """The value that the drive shows by itself, by evidence of these names."""
+        priors, evidence = self._evaluated
+        if of not in priors:
+            return Agreement(1.0, math.inf, "", 0.0)
         unknown = replace(priors[of], sigma=FREE_SIGMA, kind="unknown")
         shown = posterior({**priors, of: unknown}, evidence).estimate({of: 1.0})
         of_distances = self.cameras.sigma_of({of: 1.0})

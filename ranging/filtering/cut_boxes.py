@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.ranging.filtering.lateral_motion import LENGTH_M, sides_cut
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -65,6 +65,10 @@ class CutBoxes:
         edge_sigma = _EDGE_SIGMA_PX / camera.fx_px + _EDGE_SIGMA_FRACTION * (right - left)
         return cls(is_cut, q, edge_sigma / b, LENGTH_M[tracks.class_id], middle)
 
+    def of_tracks(self, tracks: IntArray) -> CutBoxes:
+        """The boxes of some tracks (N,)."""
+        return CutBoxes(*(getattr(self, name)[tracks] for name in self.__slots__))
+
 
 class SideState(NamedTuple):
     """Estimate of k in the filters of M methods, G models and N tracks, (M, G, N) each.
@@ -102,21 +106,20 @@ class SideState(NamedTuple):
         dt: FloatArray,
         *,
         noise: FloatArray | float,
-        slides: BoolArray,
     ) -> tuple[ConstantVelocity, SideState, FloatArray]:
-        """The motion and k after `dt`, and the relative variance of d by the noise of free edges.
+        """The motion and k after `dt`, and the relative variance of d by the noise of free edges,
+        of boxes that are cut or were in the last frame.
 
         `last_q` is q of the last boxes, `noise` that of the acceleration, see
-        `ConstantVelocity.predict`; `slides` are the boxes that are cut or were.
+        `ConstantVelocity.predict`.
         """
-        near_m = np.where(slides, cut.length_m, 0.0)
-        side = self._begin(cut)
+        near_m, side = cut.length_m, self._begin(cut)
 
         # From the surface to the far end.
         d = motion.x
         last_ratio = np.maximum(1 - side.k * last_q, _LEAST)
         far_m = d / last_ratio
-        was_side = slides & (far_m < d + cut.length_m)
+        was_side = far_m < d + cut.length_m
         G = np.where(was_side, 1 / last_ratio, 1.0)
         J = np.where(was_side, d * last_q * G * G, 0.0)
         far, side = side._transform(motion, G, J, np.where(was_side, 0.0, near_m))
@@ -127,12 +130,12 @@ class SideState(NamedTuple):
 
         # And back; which of both the ray met is not certain near the change.
         ratio = np.maximum(1 - side.k * cut.q, _LEAST)
-        is_side = slides & (far.x * ratio > far.x - cut.length_m)
+        is_side = far.x * ratio > far.x - cut.length_m
         G = np.where(is_side, ratio, 1.0)
         J = np.where(is_side, -far.x * cut.q, 0.0)
         step_m = dt * motion.v
         slide_m = (far_m + step_m) * ratio - (d + step_m)
-        is_unclear = slides & (np.abs(far_m - d - cut.length_m) < 2 * _LENGTH_SIGMA_M)
+        is_unclear = np.abs(far_m - d - cut.length_m) < 2 * _LENGTH_SIGMA_M
         P_xx = far.P_xx + np.where(is_side != was_side, _LENGTH_SIGMA_M**2, 0.0)
         P_xx += np.where(is_unclear, (_SLIDE_FACTOR * slide_m / G) ** 2, 0.0)
         far = ConstantVelocity(far.x, far.v, P_xx, far.P_xv, far.P_vv)

@@ -17,7 +17,7 @@ static objects at the bearing b come nearer, V - w b d. A new track starts as a 
 
 A filter runs for each of several models of the motion, static or with other accelerations, and the
 results are their mean (`motion_models`). The acceleration of moving objects is a third state
-(`OwnAcceleration`). The closing speed of a static object is V, whatever its size.
+(`TargetStates`). The closing speed of a static object is V, whatever its size.
 
 The sigma of a method has an independent part, new in every frame (box jitter, matching noise), and
 a systematic part, constant over a track (the car is larger than average). Only the independent part
@@ -70,9 +70,6 @@ from track_range.stereo.odometry.ego_motion import EgoMotion
 
 _CAR = ROAD_CLASSES.index("car")
 _NOTHING, _UNKNOWN = Observation(), EgoMotion()
-# rates of a filter: with the error of the size, as the distances; with the known rates of static
-# objects; and these with the variance by the size of moving ones
-_MEASURED, _TRUE, _REPORTED = range(3)
 
 
 class DistanceFilters:
@@ -113,8 +110,8 @@ class DistanceFilters:
                 has_static=False,
             )
         self._stretch = math.nan  # of the given speed of the last frame
-        self._new = FilterBank.new(self._models, self._settings, n_methods)
-        self._tracks = TrackState(self._new.rows()[:, 0])
+        self._new = FilterBank.new(self._models, self._settings)
+        self._tracks = TrackState(self._new.rows[:, 0])
 
     @property
     def noise_shares(self) -> dict[str, float]:
@@ -144,21 +141,20 @@ class DistanceFilters:
         if by_method.keys().isdisjoint(self._fractions):
             return {}
         track_id = next(iter(by_method.values())).track_id
-        bank = self._new.with_rows(self._tracks.get(track_id))
+        bank = self._new.of_tracks(self._tracks.get(track_id))
         step = self._step(bank, by_method, time_s, observation, ego)
 
-        bank = bank.with_needed_states(step)
-        bank = bank.predict(step)
-        bank = bank.resize(step)
-        bank = bank.interact(step)
-        bank = bank.step_of_condition(step)
+        bank.predict(step)
+        bank.resize(step)
+        bank.interact(step)
+        bank.step_of_condition(step)
         gate = bank.gate(step)
         self._learn(bank, step, gate)
-        bank = bank.correct_by_distance(gate)
-        bank = bank.correct_by_growth(step, gate)
-        bank = bank.restart(step, gate)
-        bank = bank.start_key_frames(step)
-        bank = bank.remember(step, gate)
+        bank.correct_by_distance(gate)
+        bank.correct_by_growth(step, gate)
+        bank.restart(step, gate)
+        bank.start_key_frames(step)
+        bank.remember(step, gate)
 
         self._store(track_id, bank, time_s)
         return self._filtered(bank, step, by_method)
@@ -174,12 +170,12 @@ class DistanceFilters:
         """The step of the filters `bank` of the previous frame to this one."""
         measured = MeasuredDistances.of(by_method, self._fractions, self._noise_scale.factor)
         track_id = next(iter(by_method.values())).track_id
-        last, n = bank.history, measured.valid.shape[-1]
-        dt = np.fmax(time_s - last.time_s, 0.0)  # 0 for a new track
+        n = measured.valid.shape[-1]
+        dt = np.fmax(time_s - bank.last.time_s, 0.0)  # 0 for a new track
         class_id = observation.class_id
         if class_id is None:
             class_id = np.full(n, _CAR)
-        static_mps = _static_mps(ego, observation.cut, bank.motion.x, measured.distance_m)
+        static_mps = _static_mps(ego, observation.cut, bank.states.d, measured.distance_m)
         # Another focal length stretches a given speed, and another scale a measured one: neither
         # moves an object, and only what is static for the filters follows it.
         stretch = ego.scale if math.isnan(ego.stretch) else ego.stretch
@@ -244,8 +240,8 @@ class DistanceFilters:
         if not self._settings.learns_noise:
             return
         is_steady = step.time_s - bank.history.steady_since_s >= self._settings.min_steady_s
-        use = gate.known & is_steady & ~step.slides[:, :1]
-        nu, P_dd, R, w = gate.nu, bank.motion.P_xx, gate.R, bank.weight
+        use = gate.known & is_steady & ~step.slides
+        nu, P_dd, R, w = gate.nu, bank.states.P_dd, gate.R, bank.weight
         squared, predicted, noise = np.where(
             use[:, 0], mean_of(np.array([nu * nu, P_dd, R]), w), np.nan
         )
@@ -254,9 +250,9 @@ class DistanceFilters:
 
     def _store(self, track_id: IntArray, bank: FilterBank, time_s: float) -> None:
         """Keep the states for the next frame, of absent tracks during `max_gap_s`."""
-        measured_s = self._new.history_of(self._tracks.known).measured_s
+        measured_s = self._new.of_tracks(self._tracks.known).history.measured_s
         is_recent = (time_s - measured_s <= self._settings.max_gap_s).any(axis=(0, 1))
-        self._tracks.put(track_id, bank.rows(), keep_known=np.asarray(is_recent))
+        self._tracks.put(track_id, bank.rows, keep_known=np.asarray(is_recent))
 
     def _filtered(
         self, bank: FilterBank, step: FilterStep, by_method: Mapping[str, Ranges]
@@ -266,25 +262,18 @@ class DistanceFilters:
         Static objects come nearer with V, whatever their size; the speed of others has the error of
         their size, but not the time to collision.
         """
-        is_static = self._models.is_static & np.isfinite(bank.ego_mps)
         systematic = bank.history.systematic[:, 0]
-        mean = self._combined(bank, step, is_static)
-        d, P_dd = mean.x, mean.P_xx
-        v, true_v = mean.v[_MEASURED], mean.v[_TRUE]
-        P_dv, true_P_dv = mean.P_xv[_MEASURED], mean.P_xv[_TRUE]
-        P_vv, true_P_vv = mean.P_vv[_MEASURED], mean.P_vv[_TRUE]
-        rate_variance = mean.P_vv[_REPORTED]
+        (d, v, true_v, own_mps2, static), covariances = _combined(bank, step)
+        P_dd, P_dv, true_P_dv, P_vv, true_P_vv, rate_variance = covariances
         is_steady = step.time_s - bank.history.steady_since_s[:, 0] >= self._settings.min_steady_s
         is_sure = np.fmin(P_vv, rate_variance) <= self._settings.max_rate_sigma_mps**2
         is_certain = is_sure & is_steady
         rate_mps = np.where(is_certain, true_v, np.nan)
         rate_sigma_mps = np.where(is_certain, np.sqrt(rate_variance), np.nan)
-        sigma_m = np.sqrt(P_dd + systematic * d**2)
+        sigma_m = np.sqrt(P_dd + systematic * d * d)
         ttc_s, ttc_sigma_s = time_to_collision(
             d, np.where(is_certain, v, np.nan), variances=(P_dd, P_dv, P_vv)
         )
-        static = mean_of(is_static.astype(np.float64), bank.weight)
-        own_mps2 = mean_of(bank.acceleration.a, bank.weight)
         return {
             name: FilteredRanges(
                 Ranges(by_method[name].track_id, d[i], sigma_m[i]),
@@ -300,27 +289,35 @@ class DistanceFilters:
             if name in by_method
         }
 
-    def _combined(
-        self, bank: FilterBank, step: FilterStep, is_static: BoolArray
-    ) -> ConstantVelocity:
-        """(M, N) distances, and (3, M, N) rates with their covariances, in the order of `_MEASURED`,
-        `_TRUE` and `_REPORTED`.
-        """
-        motion = bank.motion
-        static_variance = STATIC_RATE_SIGMA_MPS**2 + step.ego.sigma_mps**2
-        size_variance = bank.history.systematic * motion.v**2
-        true_v = np.where(is_static, -bank.ego_mps, motion.v)
-        true_P_dv = np.where(is_static, 0.0, motion.P_xv)
-        true_P_vv = np.where(is_static, static_variance, motion.P_vv)
-        rate_variance = np.where(is_static, static_variance, motion.P_vv + size_variance)
-        rates = ConstantVelocity(
-            x=motion.x,
-            v=np.array([motion.v, true_v, true_v]),
-            P_xx=motion.P_xx,
-            P_xv=np.array([motion.P_xv, true_P_dv, true_P_dv]),
-            P_vv=np.array([motion.P_vv, true_P_vv, rate_variance]),
-        )
-        return self._models.combine(rates, bank.weight)
+
+def _combined(bank: FilterBank, step: FilterStep) -> tuple[FloatArray, FloatArray]:
+    """Means and covariances over the models (step 4 of `InteractingModels`): (5, M, N) of d, v,
+    the true v, a and whether the object is static, and (6, M, N) P_dd, P_dv, P_vv of the true v in
+    their places, P_vv of both.
+
+    The true v has no error of the size where the object is static, since its speed is -V; the last
+    covariance contains that of the size where it moves.
+    """
+    states, weight, systematic = bank.states, bank.weight, bank.history.systematic
+    P, v = states.P, states.v
+    is_static = bank.models.is_static & np.isfinite(bank.ego_mps)
+    static_variance = STATIC_RATE_SIGMA_MPS**2 + step.ego.sigma_mps**2
+    true_v = np.where(is_static, -bank.ego_mps, v)
+    x = np.array([states.d, v, true_v, states.a, is_static])
+    mean = mean_of(x, weight)
+    d_d, d_v, d_true = x[:3] - mean[:3, :, None]
+    moving = ~is_static
+    second = np.array(
+        [
+            P[0, 0] + d_d * d_d,
+            P[0, 1] + d_d * d_v,
+            moving * P[0, 1] + d_d * d_true,
+            P[1, 1] + d_v * d_v,
+            np.where(is_static, static_variance, P[1, 1]) + d_true * d_true,
+            np.where(is_static, static_variance, P[1, 1] + systematic * v * v) + d_true * d_true,
+        ]
+    )
+    return mean, mean_of(second, weight)
 
 
 def _static_mps(ego: EgoMotion, cut: CutBoxes | None, d: FloatArray, z: FloatArray) -> FloatArray:

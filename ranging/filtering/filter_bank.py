@@ -1,39 +1,36 @@
 """FilterBank: Kalman filters of the distances of N tracks by M methods with G models of the motion,
 and the steps of a filter.
 
-    motion   x = [d v]'   (2)     distance in m and its rate in m/s
+    states   x = [d v a r]'  (4)     `TargetStates`
 
-                 F = [1 dt; 0 1]                  (2, 2)
-                 B = [-dt/2 -1]'                  (2)       input: dV, change of the ego speed
-                 Q = q [dt^3/3 dt^2/2; dt^2/2 dt] + B B' var(dV) + [drift dt, 0; 0, 0]    (2, 2), q of the model
-                 H = [1/d 0]                      (2)       z = log d
+                 F, Q                (4, 4)      steps of time
+                 B = [-dt/2 -1 0 0]' (4)         input: dV, change of the ego speed
+                 Q + B B' var(dV) + [drift dt]   (4, 4)
+                 H = [1/d 0 0 0]     (4)         z = log d
                  R = lambda (s sigma / d)^2
 
-    side     [d v k]'     (3)     heading parameter k of a box that the image border cuts (`cut_boxes`)
-    key      [d v r]'     (3)     distance r in the key frame of the growth in the images (`key_distance`)
-    own      [d v a]'     (3)     acceleration a of moving objects over ground (`own_acceleration`)
+    side     [d v k]'        (3)     heading parameter k of a box that the image border cuts (`cut_boxes`)
+    growth   H = [-1/d 0 0 1/r]      of the object in the images (`key_distance`)
 
-The matrices are of one filter. The code is written out by their elements, P by P_dd, P_dv, P_vv,
-and each element is an array (M, G, N) over all filters. No filter has k and r at the same time:
-boxes that are cut have no key frame.
+The matrices are of one filter; arrays are over all filters, (M, G, N) each. No filter has k and r
+at the same time: boxes that are cut have no key frame.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.ranging.filtering.cut_boxes import CutBoxes, SideState
-from track_range.ranging.filtering.key_distance import KeyDistance
-from track_range.ranging.filtering.motion_models import InteractingModels
+from track_range.ranging.filtering.key_distance import correct_by_growth, innovation
+from track_range.ranging.filtering.motion_models import STATIC_SIGMA_MPS, InteractingModels
 from track_range.ranging.filtering.observation import FilterStep
-from track_range.ranging.filtering.own_acceleration import OwnAcceleration
+from track_range.ranging.filtering.target_states import N_STATES, TargetStates
 
 # kappa, growth of the systematic variance per change of log distance; chosen on 13 of KITTI's
 # sequences
@@ -47,7 +44,6 @@ _TURN_DRIFT = 2.0
 # largest relative sigma that drifts: that of shapes; more is an unknown scale, which is constant
 _MAX_DRIFTING = 0.08
 
-_N_STATES = 20  # numbers per filter, see `FilterBank.rows`
 # a track that is predicted to be nearer has passed the camera, and its filter restarts
 _MIN_DISTANCE_M = 0.3
 
@@ -75,17 +71,23 @@ class FilterSettings:
 
 class History(NamedTuple):
     """What the filters of M methods keep of the last frames, the same for all models, (M, 1, N)
-    each, or of a shape that is repeated to this one.
+    each.
     """
 
     systematic: FloatArray  # systematic variance of log d at the last measurement; NaN = none
-    time_s: FloatArray  # of the state; NaN = new track
-    measured_s: FloatArray  # time of the last measurement
+    measured_s: FloatArray  # time of the last measurement; NaN = none
     n_outliers: FloatArray  # consecutive ones
     condition: FloatArray  # of the last measurement
     steady_since_s: FloatArray  # time of the start or of the last change of condition
     is_hidden: FloatArray  # of the last measurement; 1 = True
-    edge_ratio: FloatArray  # q of the last box (`CutBoxes`)
+
+
+class LastFrame(NamedTuple):
+    """What the filters keep of the last frame of each track, (N,) each."""
+
+    time_s: FloatArray  # NaN = new track
+    edge_ratio: FloatArray  # q of the box (`CutBoxes`)
+    was_cut: FloatArray  # 1 = the border cut the box
 
 
 class Gate(NamedTuple):
@@ -101,249 +103,177 @@ class Gate(NamedTuple):
     starts: BoolArray  # (M, 1, N) measured by a lost filter
 
 
-class FilterBank(NamedTuple):
-    """Filters of M methods, G models and N tracks: their state, in arrays (M, G, N), and its steps.
+_FIRST = (np.nan, np.nan, 0.0, 0.0, np.nan, 0.0), (np.nan, 0.0, 0.0)
+"""`History` and `LastFrame` of a new track."""
 
-    Each step of a frame returns the bank with the next state. (A named tuple: copies of dataclasses
-    take three times as long, a tenth of the time of a frame.)
+
+class FilterBank:
+    """Filters of M methods, G models and N tracks: their state, in arrays (M, G, N), and its steps,
+    which change it in place.
+
+    The state is one array `rows` (R, N) for `TrackState`, of which all others are views. Its rows
+    are, in this order and raveled: `states` (4, 5, M, G, N), `weight` and `ego_mps` (M, G, N),
+    `side` (4, M, G, N), `history` (6, M, 1, N), `last` (3, N).
     """
 
-    models: InteractingModels
-    settings: FilterSettings
-    motion: ConstantVelocity  # d, v and their covariance; NaN = new track
-    weight: FloatArray  # probabilities of the models; 0 = new track
-    ego_mps: FloatArray  # V of the last frame, see `EgoStep`; NaN = unknown
-    side: SideState | None  # None = no box is cut
-    key: KeyDistance | None  # None = there is no key frame
-    acceleration: OwnAcceleration
-    history: History
-    # relative variance of d by the noise of the free edges of this frame's boxes
-    edge_variance: FloatArray | float = 0.0
+    def __init__(
+        self, models: InteractingModels, settings: FilterSettings, rows: FloatArray
+    ) -> None:
+        """The filters with this state, which is not copied."""
+        self.models, self.settings, self.rows = models, settings, rows
+        M, G, N = models.n_methods, models.n_models, rows.shape[-1]
+        ends = np.cumsum(_row_counts(M, G)).tolist()
+        states, model_rows, side, history, last = np.split(rows, ends[:-1])
+        self.states = TargetStates(states.reshape(N_STATES, N_STATES + 1, M, G, N))
+        # probabilities of the models, 0 = new track; V of the last frame, see `EgoStep`, NaN =
+        # unknown
+        self.weight, self.ego_mps = model_rows.reshape(2, M, G, N)
+        self.side = SideState(*side.reshape(len(SideState._fields), M, G, N))
+        self.history = History(*history.reshape(len(History._fields), M, 1, N))
+        self.last = LastFrame(*last)
+        # relative variance of d by the noise of the free edges of this frame's boxes
+        self.edge_variance: FloatArray | float = 0.0
 
     @classmethod
-    def new(cls, models: InteractingModels, settings: FilterSettings, n_methods: int) -> FilterBank:
-        """Filters of one track without a measurement, (M, G, 1)."""
-        shape = (n_methods, len(models.q), 1)
-        nan, zero = np.full(shape, np.nan), np.zeros(shape)
-        none, n_none = nan[:, :1], zero[:, :1]
-        return cls(
-            models=models,
-            settings=settings,
-            motion=ConstantVelocity(x=nan, v=nan, P_xx=zero, P_xv=zero, P_vv=zero),
-            weight=zero,
-            ego_mps=nan,
-            side=None,
-            key=None,
-            acceleration=OwnAcceleration(zero, zero, zero, zero, zero),
-            history=History(
-                systematic=none,
-                time_s=none,
-                measured_s=none,
-                n_outliers=n_none,
-                condition=n_none,
-                steady_since_s=none,
-                is_hidden=n_none,
-                edge_ratio=n_none,
-            ),
-        )
+    def new(cls, models: InteractingModels, settings: FilterSettings) -> FilterBank:
+        """Filters of one track without a measurement."""
+        n_rows = sum(_row_counts(models.n_methods, models.n_models))
+        bank = cls(models, settings, np.zeros((n_rows, 1)))
+        bank.states.x[[0, 1, 3]] = np.nan
+        bank.ego_mps[...] = np.nan
+        for parts, first in zip((bank.history, bank.last), _FIRST, strict=True):
+            for part, value in zip(parts, first, strict=True):
+                part[...] = value
+        return bank
 
-    def rows(self) -> FloatArray:
-        """(rows, N) the state for `TrackState`.
-
-        The first 20 M G rows are of the models, (20, M, G, N): d v P_dd P_dv P_vv, probability, V,
-        k P_dk P_vk P_kk, r P_dr P_vr P_rr, a P_da P_va P_aa P_ra; the last 8 M are the history,
-        (8, M, 1, N).
-        """
-        side, key = self.side, self.key
-        if side is None:
-            side = SideState.none()
-        if key is None:
-            key = KeyDistance.none()
-        M, G, N = self.weight.shape
-        rows = np.empty(((_N_STATES * G + len(self.history)) * M, N))
-        states, history = self._split(rows)
-        own = (*self.motion.columns, self.weight, self.ego_mps)
-        _fill(states, (*own, *side, *key, *self.acceleration))
-        _fill(history, self.history)
-        return rows
-
-    def with_rows(self, rows: FloatArray) -> FilterBank:
-        """Filters with the state `rows()` of other tracks."""
-        states, history = self._split(rows)
-        return self._replace(
-            motion=ConstantVelocity(*states[:5]),
-            weight=states[5],
-            ego_mps=states[6],
-            side=SideState(*states[7:11]),
-            key=KeyDistance(*states[11:15]),
-            acceleration=OwnAcceleration(*states[15:]),
-            history=History(*history),
-        )
-
-    def history_of(self, rows: FloatArray) -> History:
-        """The history in the state `rows()` of other tracks."""
-        return History(*self._split(rows)[1])
-
-    def _split(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The states (20, M, G, N) and the history (8, M, 1, N) in `rows`."""
-        M, G, _ = self.weight.shape
-        N, n = rows.shape[-1], _N_STATES * M * G
-        return rows[:n].reshape(_N_STATES, M, G, N), rows[n:].reshape(len(self.history), M, 1, N)
+    def of_tracks(self, rows: FloatArray) -> FilterBank:
+        """Filters with the state `rows` of other tracks."""
+        return FilterBank(self.models, self.settings, rows)
 
     def slides(self, cut: CutBoxes | None) -> BoolArray:
-        """(M, G, N) whether the box is cut, or was in the previous frame."""
-        was_cut = np.zeros(self.weight.shape, np.bool_) if self.side is None else self.side.is_cut
+        """(N,) whether the box is cut, or was in the previous frame."""
+        was_cut = self.last.was_cut > 0
         return was_cut if cut is None else was_cut | cut.is_cut
 
-    def with_needed_states(self, step: FilterStep) -> FilterBank:
-        """Filters without side states if no box is cut, and without key states if there is no key
-        frame.
-        """
-        side, key = self.side, self.key
-        if not step.slides.any():
-            side = None
-        if key is not None and step.observation.growth is None and not key.exists.any():
-            key = None
-        return self._replace(side=side, key=key)
-
-    def predict(self, step: FilterStep) -> FilterBank:
+    def predict(self, step: FilterStep) -> None:
         """The state at the time of this frame: x' = F x + B dV, P' = F P F' + Q.
 
         Filters without a recent measurement, and of tracks that have passed the camera, become NaN.
         """
-        motion, side, edge_variance = self._moved(step)
-        sigma_mps2 = self._acceleration_sigma(step)
-        motion, acceleration = self.acceleration.predict(motion, step.dt, sigma_mps2)
+        states, dt = self.states, step.dt
+        drift = self._systematic_drift(step) if self.settings.learns_noise else 0.0
+        q, sigma_mps2 = self.models.q[:, step.class_id], self._acceleration_sigma(step)
+        tracks = step.slides.nonzero()[0]
+        of_slide = self._slide(step, tracks, q) if len(tracks) else None
+        states.predict(dt, q=q, sigma_mps2=sigma_mps2)
+        if of_slide is not None:
+            states.add_motion(of_slide, tracks)
+            states.forget_key(step.slides)
         if step.ego.is_known:
-            motion = _with_input(motion, step)
-        P_dd = motion.P_xx
-        if self.settings.learns_noise:
-            P_dd = P_dd + step.dt * self._systematic_drift(step)
+            states.add_input(dt, step.ego.change_mps, step.ego.change_variance)
+        states.P_dd[...] += dt * drift
         has_gap = step.time_s - self.history.measured_s > self.settings.max_gap_s
-        has_passed = (motion.x < _MIN_DISTANCE_M).any(axis=1, keepdims=True)
-        is_expired = has_gap | has_passed
-        motion = ConstantVelocity(
-            x=np.where(is_expired, np.nan, motion.x),
-            v=np.where(is_expired, np.nan, motion.v),
-            P_xx=P_dd,
-            P_xv=motion.P_xv,
-            P_vv=motion.P_vv,
-        )
-        key = self.key
-        if key is not None:
-            key = self.acceleration.predict_key(key, step.dt)
-            if side is not None:
-                key = key.drop(step.slides)
-        return self._replace(
-            motion=motion,
-            side=side,
-            key=key,
-            acceleration=acceleration,
-            edge_variance=edge_variance,
-        )
+        has_passed = (states.d < _MIN_DISTANCE_M).any(axis=1, keepdims=True)
+        states.forget_distance(has_gap | has_passed)
 
-    def resize(self, step: FilterStep) -> FilterBank:
-        """The state in the scale of this frame's believed sizes."""
-        if step.resized is None:
-            return self
-        key = None if self.key is None else self.key.scaled(step.resized)
-        acceleration = self.acceleration.scaled(step.resized)
-        return self._replace(
-            motion=self.motion.scaled(step.resized), key=key, acceleration=acceleration
+    def _slide(self, step: FilterStep, tracks: IntArray, q: FloatArray) -> ConstantVelocity | None:
+        """What the predictions of cut boxes differ by from those of other boxes, since along them,
+        it is the far end that moves.
+        """
+        cut = step.observation.cut
+        if cut is None:
+            return None
+        dt, noise = step.dt[tracks], q[:, tracks]
+        motion = ConstantVelocity(*(part[..., tracks] for part in self.states.motion.columns))
+        side = SideState(*(part[..., tracks] for part in self.side))
+        moved, side, variance = side.predict(
+            motion, self.last.edge_ratio[tracks], cut.of_tracks(tracks), dt, noise=noise
         )
+        for part, new in zip(self.side, side, strict=True):
+            part[..., tracks] = new
+        self.edge_variance = np.zeros(self.weight.shape)
+        self.edge_variance[..., tracks] = variance
+        plain = motion.predict(dt, q=noise)
+        pairs = zip(moved.columns, plain.columns, strict=True)
+        return ConstantVelocity(*(one - other for one, other in pairs))
+
+    def resize(self, step: FilterStep) -> None:
+        """The state in the scale of this frame's believed sizes."""
+        if step.resized is not None:
+            self.states.scale(step.resized)
 
     def _acceleration_sigma(self, step: FilterStep) -> FloatArray:
         """(G, N) sigma_a in m/s^2."""
         return self.models.acceleration_sigma(step.class_id, is_ego_known=step.ego.is_known)
 
-    def _moved(
-        self, step: FilterStep
-    ) -> tuple[ConstantVelocity, SideState | None, FloatArray | float]:
-        """Motion and side after the time step, and the variance by free edges; along a cut box,
-        it is the far end that moves.
-        """
-        cut, q = step.observation.cut, self.models.q[:, step.class_id]
-        if self.side is None or cut is None:
-            return self.motion.predict(step.dt, q=q), self.side, 0.0
-        return self.side.predict(
-            self.motion, self.history.edge_ratio, cut, step.dt, noise=q, slides=step.slides
-        )
-
     def _systematic_drift(self, step: FilterStep) -> FloatArray:
         """Variance of d in m^2 per second by the changing systematic error; 0 for new tracks."""
-        d, v = self.motion.x, self.motion.v
-        turn_rad_s = step.turn_rad_s + step.across_mps / d
-        per_s = _LONG_DRIFT_HZ * _IS_LONG[step.class_id] + _TURN_DRIFT * turn_rad_s
-        changing = np.abs(d * v) * _DRIFT + d**2 * per_s
+        d, v = self.states.d, self.states.v
+        per_s = _LONG_DRIFT_HZ * _IS_LONG[step.class_id] + _TURN_DRIFT * step.turn_rad_s
+        if step.across_mps:
+            per_s = per_s + _TURN_DRIFT * step.across_mps / d
+        changing = np.abs(d * v) * _DRIFT + d * d * per_s
         variance = np.minimum(self.history.systematic, _MAX_DRIFTING**2)
         return np.asarray(np.fmax(variance * changing, 0.0))
 
-    def interact(self, step: FilterStep) -> FilterBank:
+    def interact(self, step: FilterStep) -> None:
         """The models after objects may have changed theirs (step 1 of `InteractingModels`).
 
         It follows the prediction, whose rates show where a static model follows a moving object: it
         is no longer static, and no object changes to it.
         """
-        models = self.models
+        models, before = self.models, self.weight
         if not step.ego.is_known:
-            return self._replace(weight=models.interact(self.weight, step.prior, step.dt))
+            self.weight[...] = models.interact(before, step.prior, step.dt)
+            return
         V = step.ego.speed_mps
-        size_sigma = np.sqrt(np.fmax(self.history.systematic, 0.0))
-        static_mps = models.start_sigma_mps(step.class_id, 0.0, size_sigma * V)
-        known_mps = np.hypot(static_mps, step.ego.sigma_mps)
-        is_moving = np.abs(self.motion.v + V) > self.settings.outlier_sigma * known_mps
-        possible = step.prior * ~(models.is_static & is_moving)
-        weight = models.interact(self.weight, possible, step.dt)
+        by_size = np.fmax(self.history.systematic, 0.0) * V * V
+        static_variance = by_size + STATIC_SIGMA_MPS**2
+        largest = self.settings.outlier_sigma**2 * (static_variance + step.ego.sigma_mps**2)
+        own_mps = self.states.v + V
+        is_moving = own_mps * own_mps > largest  # False for NaN
+        possible = step.prior.copy()
+        possible[:, 0] *= ~is_moving[:, 0]
+        weight = models.interact(before, possible, step.dt)
         joins = np.isnan(self.ego_mps)
-        if not self.settings.learns_noise or not joins.any():
-            return self._replace(weight=weight)
-        weight = np.where(joins & (self.weight[:, :1] == 0), step.prior, weight)
-        return self._replace(weight=weight)._join_static(joins & models.is_static, V, static_mps)
+        if self.settings.learns_noise and joins.any():
+            weight = np.where(joins & (before[:, :1] == 0), step.prior, weight)
+            self._join_static(joins & models.is_static, V, static_variance)
+        self.weight[...] = weight
 
-    def _join_static(self, joins: BoolArray, V: FloatArray, static_mps: FloatArray) -> FilterBank:
+    def _join_static(self, joins: BoolArray, V: FloatArray, variance: FloatArray) -> None:
         """The state where static models start, since the ego speed is known from now on: v = -V."""
-        motion = replace(
-            self.motion,
-            v=np.where(joins, -V, self.motion.v),
-            P_xv=np.where(joins, 0.0, self.motion.P_xv),
-            P_vv=np.where(joins, static_mps**2, self.motion.P_vv),
-        )
-        key = self.key
-        if key is not None:
-            key = key._replace(P_vr=np.where(joins, 0.0, key.P_vr))
-        return self._replace(motion=motion, key=key)
+        P = self.states.P
+        np.copyto(self.states.v, -V, where=joins)
+        for i, j in ((0, 1), (1, 0), (1, 3), (3, 1)):
+            np.copyto(P[i, j], 0.0, where=joins)
+        np.copyto(P[1, 1], variance, where=joins)
 
-    def step_of_condition(self, step: FilterStep) -> FilterBank:
+    def step_of_condition(self, step: FilterStep) -> None:
         """The state where the condition of a measurement changes, or a nearer box begins or ceases
         to hide a side.
 
         The distance may step by the old and the new systematic error together, which is no motion:
         P_dd' = P_dd + d^2 (s_old^2 + s_new^2).
         """
-        last, measured, d = self.history, step.measured, self.motion.x
+        last, measured, d = self.history, step.measured, self.states.d
         is_given = measured.valid & np.isfinite(step.condition)
         is_changed = is_given & (step.condition != last.condition) & np.isfinite(d[:, :1])
-        is_hidden = np.where(measured.valid, step.is_hidden, last.is_hidden)
-        history = last._replace(
-            condition=np.where(is_given, step.condition, last.condition),
-            steady_since_s=np.where(is_changed, step.time_s, last.steady_since_s),
-            is_hidden=is_hidden,
-        )
-        may_step = is_changed | (is_hidden != last.is_hidden)
+        may_step = is_changed | (measured.valid & (step.is_hidden != last.is_hidden))
+        np.copyto(last.condition, step.condition, where=is_given)
+        np.copyto(last.is_hidden, step.is_hidden, where=measured.valid)
         if not may_step.any():
-            return self._replace(history=history)
+            return
+        np.copyto(last.steady_since_s, step.time_s, where=is_changed)
         variance = d * d * (last.systematic + measured.systematic)
-        variance = np.where(may_step & np.isfinite(d), variance, 0.0)
-        motion = replace(self.motion, P_xx=self.motion.P_xx + variance)
-        key = None if self.key is None else self.key.step(d, variance)
-        return self._replace(motion=motion, key=key, history=history)
+        self.states.step(np.where(may_step & np.isfinite(d), variance, 0.0))
 
     def gate(self, step: FilterStep) -> Gate:
         """Innovations of the distances, nu = d (log z - log d), and which filters they correct."""
-        measured, d = step.measured, self.motion.x
+        measured, d = step.measured, self.states.d
         nu = d * np.log(measured.distance_m / d)
         R = d * d * (measured.independent + self.edge_variance)
-        limit = self.settings.outlier_sigma * np.sqrt(self.motion.P_xx + R)
+        limit = self.settings.outlier_sigma * np.sqrt(self.states.P_dd + R)
         excess = (np.abs(nu) / limit).min(axis=1, keepdims=True)
         before = self.history.n_outliers
         n_outliers = np.where(measured.valid, (excess > 1) * (before + 1), before)
@@ -358,74 +288,50 @@ class FilterBank(NamedTuple):
             starts=measured.valid & is_lost,
         )
 
-    def correct_by_distance(self, gate: Gate) -> FilterBank:
+    def correct_by_distance(self, gate: Gate) -> None:
         """The state after the distances: K = P H' / S, x' = x + K nu, P' = P - K S K'.
 
         R of distances beyond the gate is larger, so that they count as little as at its limit
         (Huber). S is infinite without a distance, so that K = 0.
         """
-        motion, side, key, known = self.motion, self.side, self.key, gate.known
-        R = gate.R * np.maximum(1.0, gate.excess) ** 2
-        S = np.where(known, motion.P_xx + R, np.inf)
+        known, excess = gate.known, np.maximum(1.0, gate.excess)
+        S = np.where(known, self.states.P_dd + gate.R * (excess * excess), np.inf)
         nu = np.where(known, gate.nu, 0.0)
-        weight = self.models.update_probabilities(self.weight, nu, S, valid=known)
-        P_dr = 0.0 if key is None else key.P_dr
-        acceleration = self.acceleration.correct(motion, P_dr, nu, S)
-        if side is not None:
-            side = side.correct(motion, nu, S)
-        if key is not None:
-            key = key.correct(motion, nu, S)
-        motion = motion.correct(nu, S)
-        return self._replace(
-            weight=weight, motion=motion, side=side, key=key, acceleration=acceleration
-        )
+        self.weight[...] = self.models.update_probabilities(self.weight, nu, S, valid=known)
+        if self.side.P_kk.any():  # boxes are cut
+            corrected = self.side.correct(self.states.motion, nu, S)
+            for part, new in zip(self.side, corrected, strict=True):
+                part[...] = new
+        self.states.correct_by_distance(nu, 1.0 / S)
 
-    def correct_by_growth(self, step: FilterStep, gate: Gate) -> FilterBank:
+    def correct_by_growth(self, step: FilterStep, gate: Gate) -> None:
         """The state after the growth in the images since the key frames, by the same equations."""
         growth = step.observation.growth
-        if growth is None or self.key is None:
-            return self
-        innovation = self.key.innovation(self.motion, growth, valid=~gate.is_lost)
-        motion, key, used = self.key.correct_by_growth(
-            self.motion, innovation, outlier_sigma=self.settings.outlier_sigma
+        if growth is None:
+            return
+        shown = innovation(self.states, growth, valid=~gate.is_lost)
+        if not shown.valid.any():
+            return
+        is_valid = np.asarray(shown.valid.all(axis=1, keepdims=True))
+        self.weight[...] = self.models.update_probabilities(
+            self.weight, shown.nu, shown.P_zz + shown.R, valid=is_valid
         )
-        acceleration = self.acceleration.correct_by_growth(innovation, used)
-        weight = self.models.update_probabilities(
-            self.weight,
-            innovation.nu,
-            innovation.P_zz + innovation.R,
-            valid=np.asarray(innovation.valid.all(axis=1, keepdims=True)),
-        )
-        return self._replace(motion=motion, weight=weight, key=key, acceleration=acceleration)
+        correct_by_growth(self.states, shown, outlier_sigma=self.settings.outlier_sigma)
 
-    def restart(self, step: FilterStep, gate: Gate) -> FilterBank:
+    def restart(self, step: FilterStep, gate: Gate) -> None:
         """The state where measured filters start: d = z, v = -V, and the models at their prior."""
-        starts, motion, side, key = gate.starts, self.motion, self.side, self.key
-        motion = replace(motion, x=np.maximum(motion.x, _MIN_DISTANCE_M))
+        starts, states = gate.starts, self.states
+        np.maximum(states.d, _MIN_DISTANCE_M, out=states.d)
         if not starts.any():
-            return self._replace(motion=motion)
-        z = step.measured.distance_m
+            return
+        z, zero = step.measured.distance_m, np.array(0.0)
         variance = z * z * (step.measured.independent + self.edge_variance)
         rate_mps, rate_sigma_mps = self._first_rate(step)
-        motion = ConstantVelocity(
-            x=np.where(starts, z, motion.x),
-            v=np.where(starts, rate_mps, motion.v),
-            P_xx=np.where(starts, variance, motion.P_xx),
-            P_xv=np.where(starts, 0.0, motion.P_xv),
-            P_vv=np.where(starts, rate_sigma_mps**2, motion.P_vv),
-        )
-        if side is not None:
-            side = side.restart(starts)
-        if key is not None:
-            key = key.restart(starts)
-        sigma_mps2 = self._acceleration_sigma(step)
-        return self._replace(
-            motion=motion,
-            weight=np.where(starts, step.prior, self.weight),
-            side=side,
-            key=key,
-            acceleration=self.acceleration.restart(starts, sigma_mps2),
-        )
+        first = ConstantVelocity(z, rate_mps, variance, zero, rate_sigma_mps**2)
+        states.start(starts, first, self._acceleration_sigma(step) ** 2)
+        np.copyto(self.weight, step.prior, where=starts)
+        for part in (self.side.P_dk, self.side.P_vk):
+            np.copyto(part, 0.0, where=starts)
 
     def _first_rate(self, step: FilterStep) -> tuple[FloatArray, FloatArray]:
         """Rates of new tracks, and their standard deviations."""
@@ -439,44 +345,28 @@ class FilterBank(NamedTuple):
         size_mps = np.sqrt(step.measured.systematic) * rate_mps
         return rate_mps, self.models.start_sigma_mps(step.class_id, own_sigma_mps, size_mps)
 
-    def start_key_frames(self, step: FilterStep) -> FilterBank:
+    def start_key_frames(self, step: FilterStep) -> None:
         """The state with this frame as the key frame of the tracks whose growth begins with it."""
         growth = step.observation.growth
-        if growth is None or self.key is None or not growth.is_key.any():
-            return self
-        return self._replace(
-            key=self.key.start(self.motion, growth.is_key),
-            acceleration=self.acceleration.start_key(growth.is_key),
-        )
+        if growth is not None and growth.is_key.any():
+            self.states.start_key(growth.is_key)
 
-    def remember(self, step: FilterStep, gate: Gate) -> FilterBank:
+    def remember(self, step: FilterStep, gate: Gate) -> None:
         """The state with what the next frame has to know of this one."""
-        last, measured, starts = self.history, step.measured, gate.starts
-        history = last._replace(
-            systematic=np.where(measured.valid, measured.systematic, last.systematic),
-            time_s=np.array(step.time_s),
-            measured_s=np.where(measured.valid, step.time_s, last.measured_s),
-            n_outliers=np.where(starts, 0.0, gate.n_outliers),
-            steady_since_s=np.where(starts, step.time_s, last.steady_since_s),
-        )
-        if step.observation.cut is not None:
-            history = history._replace(edge_ratio=step.observation.cut.q)
-        return self._replace(history=history, ego_mps=step.ego.speed_mps)
+        history, measured, cut = self.history, step.measured, step.observation.cut
+        np.copyto(history.systematic, measured.systematic, where=measured.valid)
+        np.copyto(history.measured_s, step.time_s, where=measured.valid)
+        history.n_outliers[...] = gate.n_outliers * ~gate.starts
+        np.copyto(history.steady_since_s, step.time_s, where=gate.starts)
+        self.last.time_s[...] = step.time_s
+        if cut is not None:
+            self.last.edge_ratio[...] = cut.q
+            self.last.was_cut[...] = cut.is_cut
+        self.ego_mps[...] = step.ego.speed_mps
 
 
-def _fill(rows: FloatArray, parts: Sequence[FloatArray]) -> None:
-    """Write the parts into the rows, repeated to their shape."""
-    for row, part in zip(rows, parts, strict=True):
-        row[...] = part
-
-
-def _with_input(motion: ConstantVelocity, step: FilterStep) -> ConstantVelocity:
-    """The state after the change dV of the ego speed: x' = x + B dV, P' = P + B B' var(dV)."""
-    dt, dV, variance = step.dt, step.ego.change_mps, step.ego.change_variance
-    return ConstantVelocity(
-        x=motion.x - dt * dV / 2,
-        v=motion.v - dV,
-        P_xx=motion.P_xx + dt * dt / 4 * variance,
-        P_xv=motion.P_xv + dt / 2 * variance,
-        P_vv=motion.P_vv + variance,
-    )
+def _row_counts(M: int, G: int) -> tuple[int, int, int, int, int]:
+    """Numbers of rows of the parts of the state of a `FilterBank`."""
+    n = M * G
+    n_side, n_history = len(SideState._fields) * n, len(History._fields) * M
+    return N_STATES * (N_STATES + 1) * n, 2 * n, n_side, n_history, len(LastFrame._fields)

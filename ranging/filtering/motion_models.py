@@ -1,7 +1,7 @@
 """InteractingModels: how an object may move, with a filter and a probability for each model.
 
     static         own speed 0: v = -V, but by sizes that are wrong by s, v = -(1 + s) V
-    moving         the own speed v + V changes by accelerations that last (`OwnAcceleration`), calm
+    moving         the own speed v + V changes by accelerations that last (`TargetStates`), calm
                    or agile: with a small or a large standard deviation sigma_a
 
 The four steps of Blom and Bar-Shalom (The interacting multiple model algorithm, 1988), for the
@@ -26,7 +26,6 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.foundation.constant_velocity import ConstantVelocity
 
 # of the own speed of moving objects beside their acceleration, m/s per square root of a second; of
 # all but people, the smallest with 92 % of closing speeds within two sigma for objects at 2 to
@@ -43,7 +42,7 @@ _ACCELERATIONS_MPS2 = np.array(
 _EGO_ACCELERATION_MPS2 = 0.5
 # of the own speed of static objects, whose relative size error changes, as `_MOVING_NOISES`
 _STATIC_NOISE = 0.02
-_STATIC_SIGMA_MPS = 0.1  # of the own speed of static objects at the start
+STATIC_SIGMA_MPS = 0.1  # of the own speed of static objects at the start
 STATIC_RATE_SIGMA_MPS = 0.2  # of the closing speed of static objects beside that of the ego speed
 _STATIC_PRIOR = np.array([{"person": 0.2, "bicycle": 0.2}.get(name, 0.7) for name in ROAD_CLASSES])
 """(road classes,) probability that a new object is static."""
@@ -76,6 +75,7 @@ class InteractingModels:
         are for moving objects, and without `has_static` all objects move.
         """
         n_moving = len(accelerations_mps2)
+        self.n_methods, self.n_models = n_methods, 1 + n_moving
         # (G, 1)
         self.is_static: BoolArray = np.arange(1 + n_moving)[:, None] == 0
         self._is_moving = ~self.is_static
@@ -101,7 +101,7 @@ class InteractingModels:
         (`scale_mps`).
         """
         moving = np.minimum(_SPEED_SIGMA_MPS[class_id], moving_mps)
-        return np.hypot(np.where(self.is_static, _STATIC_SIGMA_MPS, moving), scale_mps)
+        return np.hypot(np.where(self.is_static, STATIC_SIGMA_MPS, moving), scale_mps)
 
     def acceleration_sigma(self, class_id: IntArray, *, is_ego_known: bool) -> FloatArray:
         """(G, N) sigma_a of the tracks, in m/s^2; 0 for static models."""
@@ -115,12 +115,12 @@ class InteractingModels:
 
         The moving models mix among each other over 4 s, all models over 100 s.
         """
-        moving = prior * self._is_moving
-        is_moving = np.add.reduce(weight * self._is_moving, axis=1, keepdims=True)
-        moving *= is_moving / np.maximum(np.add.reduce(moving, axis=1, keepdims=True), 1e-9)
-        change = np.where(self._is_moving, moving - weight, 0.0)
-        weight = weight - np.expm1(-dt / _SWITCH_S) * change
-        weight = weight - np.expm1(-dt / _STATIC_SWITCH_S) * (prior - weight)
+        possible, before = prior[:, 1:], weight[:, 1:]
+        is_moving = np.add.reduce(before, axis=1, keepdims=True)
+        total = np.maximum(np.add.reduce(possible, axis=1, keepdims=True), 1e-9)
+        weight = weight.copy()
+        weight[:, 1:] -= np.expm1(-dt / _SWITCH_S) * (possible * (is_moving / total) - before)
+        weight -= np.expm1(-dt / _STATIC_SWITCH_S) * (prior - weight)
         return np.asarray(weight * (prior > 0))
 
     def update_probabilities(
@@ -131,18 +131,6 @@ class InteractingModels:
         weight = np.where(valid, weight * likelihood, weight)
         total = np.add.reduce(weight, axis=1, keepdims=True)
         return np.asarray(weight / np.maximum(total, 1e-300))
-
-    def combine(self, state: ConstantVelocity, weight: FloatArray) -> ConstantVelocity:
-        """Step 4: mean and covariance (..., M, N) over the models of states (..., M, G, N)."""
-        x, v = mean_of(state.x, weight), mean_of(state.v, weight)
-        dx, dv = state.x - x[..., None, :], state.v - v[..., None, :]
-        return ConstantVelocity(
-            x=x,
-            v=v,
-            P_xx=mean_of(state.P_xx + dx * dx, weight),
-            P_xv=mean_of(state.P_xv + dx * dv, weight),
-            P_vv=mean_of(state.P_vv + dv * dv, weight),
-        )
 
     def count(self, class_id: IntArray, weight: FloatArray, dt: FloatArray) -> None:
         """Add the time dt of tracks with the probabilities (M, G, N)."""

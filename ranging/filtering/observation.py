@@ -48,7 +48,7 @@ class EgoStep:
     """Motion of the camera towards static objects: a known input of the filters."""
 
     is_known: bool
-    # () or (M, G, N) speed V with which static objects come nearer; NaN = unknown
+    # () or (M, G, N) speed V with which static objects come nearer; NaN = unknown, () then
     speed_mps: FloatArray
     sigma_mps: float  # its standard deviation; 0 = unknown
     # like the speed: dV since the previous frame, 0 where the speed was unknown, and its variance
@@ -82,7 +82,7 @@ class FilterStep:
     """
 
     time_s: float
-    dt: FloatArray  # (M, 1, N) time since the previous frame, 0 for new tracks
+    dt: FloatArray  # (N,) time since the previous frame, 0 for new tracks
     measured: MeasuredDistances
     ego: EgoStep
     turn_rad_s: float  # rate of the camera's turn, to either side; 0 = unknown
@@ -92,6 +92,6 @@ class FilterStep:
     condition: FloatArray  # (M, 1, N) codes of the conditions; NaN = not given
     is_hidden: BoolArray  # () or (N,)
     prior: FloatArray  # (M, G, N) probabilities of the models of a new track
-    slides: BoolArray  # (M, G, N) whether the box is cut, or was in the previous frame
+    slides: BoolArray  # (N,) whether the box is cut, or was in the previous frame
     # (M, 1, N) factors of the believed sizes since the previous frame; None = no size is assumed
     resized: FloatArray | None = None

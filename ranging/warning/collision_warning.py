@@ -7,7 +7,7 @@ gives the reported probability and starts the alarm; its end has a hysteresis.
 Speed of the object along the road:    u = v + V    a Kalman filter with the state [u, u'] and the filtered rate v
 Speed of the ego vehicle:              V            another one with the state [V, V']
 Yaw rate of the ego vehicle:           w            another one with the state [w, w']
-Without ego speed, V = V' = 0. The rate v follows a part of u' itself (`OwnAcceleration`); the gap
+Without ego speed, V = V' = 0. The rate v follows a part of u' itself (`TargetStates`); the gap
 is corrected for the rest. A change of u beyond 3 standard deviations means that the track is on
 another object. The filtered rate v has a model of the motion, and takes about a second to forget
 another object; so a filter without a model has to confirm it before an alarm starts.

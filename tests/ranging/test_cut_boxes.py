@@ -76,9 +76,7 @@ def test_prediction_of_a_slide_by_hand():
     )
     side = SideState(of_m(1), of_m(0), of_m(0), of_m(1e-12))
     state = ConstantVelocity(of_m(5), of_m(-10), of_m(0.01), of_m(0), of_m(0.04))
-    predicted, _, _ = side.predict(
-        state, before.q, cut, of_m(0.3), noise=0.0, slides=np.array([[True]])
-    )
+    predicted, _, _ = side.predict(state, before.q, cut, of_m(0.3), noise=0.0)
     assert predicted.x[0, 0] == pytest.approx(4.8)
     assert predicted.v[0, 0] == -10
     # Variances: z_f = 3 d with 0.09, plus 0.3^2 0.04 by the speed; d = 0.4 z_f. The turn of k adds
@@ -95,9 +93,7 @@ def test_near_end_is_predicted_as_without_a_cut():
     cut = CutBoxes.of(boxes(-1.0, -0.1), CAMERA)
     side = SideState(of_m(1), of_m(0), of_m(0), of_m(0.04))
     state = ConstantVelocity(of_m(5), of_m(-10), of_m(0.01), of_m(0), of_m(0.04))
-    predicted, _, edge_variance = side.predict(
-        state, cut.q, cut, of_m(0.1), noise=1.0, slides=np.array([[True]])
-    )
+    predicted, _, edge_variance = side.predict(state, cut.q, cut, of_m(0.1), noise=1.0)
     expected = state.predict(of_m(0.1), q=1.0)
     np.testing.assert_allclose(predicted.columns, expected.columns)
     assert edge_variance == 0

@@ -6,13 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.ranging.filtering.cut_boxes import CutBoxes
 from track_range.ranging.filtering.filter_bank import FilterBank, FilterSettings
-from track_range.ranging.filtering.key_distance import Growth, KeyDistance
 from track_range.ranging.filtering.motion_models import InteractingModels
 from track_range.ranging.filtering.noise_scale import MeasuredDistances
 from track_range.ranging.filtering.observation import EgoStep, FilterStep, Observation
+from track_range.ranging.measurement.growth import Growth
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.stereo.odometry.ego_motion import EgoMotion
 
@@ -32,20 +31,25 @@ def new_bank(settings=SETTINGS):
         accelerations_mps2=np.zeros((1, 8)),
         has_static=settings.learns_noise,
     )
-    return FilterBank.new(models, settings, 1)
+    return FilterBank.new(models, settings)
+
+
+def copy_of(bank):
+    """Filters with a state of their own."""
+    return bank.of_tracks(bank.rows.copy())
 
 
 def running(d, v, *, P=(4.0, 0.0, 1.0), settings=SETTINGS):
     """Filters with a distance and a rate at 0 s, measured then; both models are as probable."""
     bank = new_bank(settings)
-    one = np.zeros((1, 1, 1))
-    return bank._replace(
-        motion=ConstantVelocity(of(d), of(v), *(of(part) for part in P)),
-        weight=of(0.5),
-        history=bank.history._replace(
-            systematic=one + 0.01, time_s=one, measured_s=one, steady_since_s=one
-        ),
-    )
+    states = bank.states
+    states.d[...], states.v[...] = d, v
+    states.P[0, 0], states.P[0, 1], states.P[1, 0], states.P[1, 1] = P[0], P[1], P[1], P[2]
+    bank.weight[...], bank.last.time_s[...] = 0.5, 0.0
+    history = bank.history
+    history.systematic[...] = 0.01
+    history.measured_s[...] = history.steady_since_s[...] = 0.0
+    return bank
 
 
 def step_to(time_s, z, bank, *, ego=UNKNOWN, sigma=0.1, **observed):
@@ -55,7 +59,7 @@ def step_to(time_s, z, bank, *, ego=UNKNOWN, sigma=0.1, **observed):
         {"a": 1.0},
         np.ones((1, 1)),
     )
-    dt = np.fmax(time_s - bank.history.time_s, 0.0)
+    dt = np.fmax(time_s - bank.last.time_s, 0.0)
     observation = Observation(**observed)
     return FilterStep(
         time_s=time_s,
@@ -73,23 +77,36 @@ def step_to(time_s, z, bank, *, ego=UNKNOWN, sigma=0.1, **observed):
     )
 
 
+def predicted(bank, step):
+    """The filters after the prediction."""
+    bank = copy_of(bank)
+    bank.predict(step)
+    return bank
+
+
+def corrected(bank, gate):
+    """The states after the distances."""
+    bank = copy_of(bank)
+    bank.correct_by_distance(gate)
+    return bank.states
+
+
 def cut_box(is_cut):
     return CutBoxes(np.array([is_cut]), *np.array([[0.5], [0.01], [4.0], [0.6]]))
 
 
 def test_prediction_with_an_input():
     """F x + B dV by matrices: the camera brakes from 10 to 8 m/s within 0.5 s."""
-    bank = running(40.0, -6.0)._replace(ego_mps=of(10.0))
-    predicted = bank.predict(step_to(0.5, 37.0, bank, ego=EgoMotion(8.0, 0.3))).motion
+    bank = running(40.0, -6.0)
+    bank.ego_mps[...] = 10.0
+    states = predicted(bank, step_to(0.5, 37.0, bank, ego=EgoMotion(8.0, 0.3))).states
     F, B, dV = np.array([[1, 0.5], [0, 1]]), np.array([-0.25, -1.0]), -2.0
     x = F @ [40.0, -6.0] + B * dV
     Q = 0.25 * np.array([[0.5**3 / 3, 0.5**2 / 2], [0.5**2 / 2, 0.5]])
     variance = 2 * 0.3**2 * (1 - np.exp(-0.5))
     P = F @ np.diag([4.0, 1.0]) @ F.T + Q + variance * np.outer(B, B)
-    assert [predicted.x[0, 1, 0], predicted.v[0, 1, 0]] == pytest.approx(x)
-    assert [predicted.P_xx[0, 1, 0], predicted.P_xv[0, 1, 0], predicted.P_vv[0, 1, 0]] == (
-        pytest.approx(P[np.triu_indices(2)])
-    )
+    assert states.x[:2, 0, 1, 0] == pytest.approx(x)
+    assert states.P[:2, :2, 0, 1, 0] == pytest.approx(P)
 
 
 def test_systematic_error_drifts_with_the_distance():
@@ -97,7 +114,7 @@ def test_systematic_error_drifts_with_the_distance():
     drifts = []
     for learns_noise in (True, False):
         bank = running(40.0, -6.0, settings=FilterSettings(learns_noise=learns_noise))
-        drifts.append(bank.predict(step_to(0.5, 37.0, bank)).motion.P_xx[0, 1, 0])
+        drifts.append(predicted(bank, step_to(0.5, 37.0, bank)).states.P_dd[0, 1, 0])
     assert drifts[0] - drifts[1] == pytest.approx(0.2 * 0.0064 * 240 * 0.5)
 
 
@@ -107,11 +124,11 @@ def test_systematic_error_drifts_in_turns(class_id):
     bank = running(40.0, -6.0, settings=FilterSettings())
     step = replace(step_to(0.5, 37.0, bank), class_id=np.array([class_id]))
     straight, turning = (
-        bank.predict(replace(step, turn_rad_s=rate)).motion.P_xx[0, 1, 0] for rate in (0.0, 0.1)
+        predicted(bank, replace(step, turn_rad_s=rate)).states.P_dd[0, 1, 0] for rate in (0.0, 0.1)
     )
     assert turning - straight == pytest.approx(2 * 0.0064 * 1600 * 0.1 * 0.5)
     # a camera that moves across its axis sees another side, too: 4 m/s at 40 m are 0.1 rad/s
-    across = bank.predict(replace(step, across_mps=4.0)).motion.P_xx[0, 1, 0]
+    across = predicted(bank, replace(step, across_mps=4.0)).states.P_dd[0, 1, 0]
     assert across == pytest.approx(turning)
 
 
@@ -120,16 +137,17 @@ def test_filters_expire(d, time_s):
     """After a gap of more than 1 s, and where the object has passed the camera."""
     bank = running(d, -6.0)
     step = step_to(time_s, 40.0, bank)
-    bank = bank.predict(step)
-    assert np.isnan(bank.motion.x).all()
+    bank.predict(step)
+    assert np.isnan(bank.states.d).all()
     gate = bank.gate(step)
     assert gate.starts.all()
     assert not gate.known.any()
-    started = bank.restart(step, gate)
-    assert started.motion.x == pytest.approx(of(40.0))
-    assert started.motion.P_xx == pytest.approx(of(16.0))
-    assert started.motion.v == pytest.approx(of(0.0))
-    assert started.motion.P_vv == pytest.approx(of(144.0))
+    bank.restart(step, gate)
+    states = bank.states
+    assert states.d == pytest.approx(of(40.0))
+    assert states.P_dd == pytest.approx(of(16.0))
+    assert states.v == pytest.approx(of(0.0))
+    assert states.P[1, 1] == pytest.approx(of(144.0))
 
 
 def test_gate_and_correction():
@@ -140,78 +158,78 @@ def test_gate_and_correction():
     assert gate.nu == pytest.approx(of(40 * np.log(1.1)))
     np.testing.assert_allclose(gate.R, of(16.0))
     assert gate.excess.item() == pytest.approx(40 * np.log(1.1) / (3 * np.sqrt(20)))
-    corrected = bank.correct_by_distance(gate).motion
-    assert corrected.x == pytest.approx(of(40 + 4 / 20 * 40 * np.log(1.1)))
-    assert corrected.P_xx == pytest.approx(of(4 - 4 * 4 / 20))
+    states = corrected(bank, gate)
+    assert states.d == pytest.approx(of(40 + 4 / 20 * 40 * np.log(1.1)))
+    assert states.P_dd == pytest.approx(of(4 - 4 * 4 / 20))
     twice = gate._replace(excess=np.full((1, 1, 1), 2.0))
-    assert bank.correct_by_distance(twice).motion.P_xx == pytest.approx(of(4 - 4 * 4 / 68))
+    assert corrected(bank, twice).P_dd == pytest.approx(of(4 - 4 * 4 / 68))
     unmeasured = gate._replace(known=np.zeros((1, 1, 1), np.bool_))
-    assert bank.correct_by_distance(unmeasured).motion.x == pytest.approx(of(40.0))
+    assert corrected(bank, unmeasured).d == pytest.approx(of(40.0))
 
 
 def test_third_outlier_is_lost():
     bank = running(40.0, -6.0)
-    bank = bank._replace(history=bank.history._replace(n_outliers=np.full((1, 1, 1), 1.0)))
+    bank.history.n_outliers[...] = 1.0
     for n, is_lost in ((2, False), (3, True)):
         step = step_to(0.0, 400.0, bank)
         gate = bank.gate(step)
         assert gate.n_outliers.item() == n
         assert gate.starts.item() == is_lost
-        bank = bank.remember(step, gate)
+        bank.remember(step, gate)
     assert bank.history.n_outliers.item() == 0
 
 
 def test_step_of_a_condition_adds_both_systematic_variances():
     """10 % before, and 6 % now: 40^2 (0.01 + 0.0036); the key distance steps with it."""
     bank = running(40.0, -6.0)
-    bank = bank._replace(key=KeyDistance(of(50.0), of(0.0), of(0.0), of(1.0)))
+    bank.states.r[...], bank.states.P[3, 3] = 50.0, 1.0
     step = step_to(0.1, 40.0, bank)
     measured = replace(step.measured, systematic=np.full((1, 1, 1), 0.0036))
     for code, variance in ((0, 0.0), (1, 1600 * 0.0136)):
         changed = replace(step, measured=measured, condition=np.full((1, 1, 1), float(code)))
-        after = bank.step_of_condition(changed)
-        assert after.motion.P_xx == pytest.approx(of(4.0 + variance))
-        assert after.key.P_dr == pytest.approx(of(50 / 40 * variance))
+        after = copy_of(bank)
+        after.step_of_condition(changed)
+        P = after.states.P
+        assert P[0, 0] == pytest.approx(of(4.0 + variance))
+        assert P[0, 3] == pytest.approx(of(50 / 40 * variance))
+        assert P[3, 0] == pytest.approx(of(50 / 40 * variance))
+        assert P[3, 3] == pytest.approx(of(1.0 + (50 / 40) ** 2 * variance))
         assert after.history.steady_since_s.item() == (0.1 if code else 0.0)
 
 
-def test_side_and_key_states_exist_only_while_they_matter():
-    bank = new_bank()
-    stored = bank.with_rows(bank.rows())
-    assert stored.side is not None
-    assert stored.key is not None
-    growth = Growth(*np.array([[0.1], [0.01]]), np.array([True]))
-    for observed, has_side, has_key in (
-        ({}, False, False),
-        ({"cut": cut_box(False)}, False, False),
-        ({"cut": cut_box(True)}, True, False),
-        ({"growth": growth}, False, True),
-    ):
-        needed = stored.with_needed_states(step_to(0.0, 40.0, stored, **observed))
-        assert (needed.side is not None) == has_side
-        assert (needed.key is not None) == has_key
-    was_cut = stored._replace(side=stored.side._replace(P_kk=of(0.04)))
-    assert was_cut.with_needed_states(step_to(0.1, 40.0, was_cut)).side is not None
-    had_key = stored._replace(key=stored.key._replace(r=of(50.0)))
-    assert had_key.with_needed_states(step_to(0.1, 40.0, had_key)).key is not None
+def test_a_cut_box_has_a_side_and_no_key_frame():
+    bank = running(40.0, -6.0)
+    bank.states.r[...] = 50.0
+    for is_cut, time_s in ((False, 0.1), (True, 0.2), (False, 0.3)):
+        step = step_to(time_s, 40.0, bank, cut=cut_box(is_cut))
+        was_cut = bool(bank.last.was_cut.item())
+        bank.predict(step)
+        assert (bank.side.P_kk > 0).all() == is_cut
+        assert np.isnan(bank.states.r).all() == (is_cut or was_cut)
+        bank.remember(step, bank.gate(step))
+    assert not bank.slides(cut_box(False)).any()
 
 
-def test_rows_keep_the_state():
-    bank = running(40.0, -6.0)._replace(
-        ego_mps=np.array(9.0), key=KeyDistance(of(50.0), of(1.0), of(2.0), of(3.0))
-    )
-    again = bank.with_rows(bank.rows())
-    for part, kept in zip(bank.motion.columns, again.motion.columns, strict=True):
-        assert np.array_equal(part, kept)
-    assert again.ego_mps == pytest.approx(of(9.0))
-    assert np.array_equal(again.key, bank.key)
-    assert not again.side.is_cut.any()
-    assert np.array_equal(again.history, bank.history)
+def test_key_frames_and_restarts():
+    """A new key frame has the covariances of d; a filter that restarts knows nothing of a and r."""
+    bank = running(40.0, -6.0, P=(4.0, 0.5, 1.0))
+    bank.states.a[...], bank.states.P[2, 2] = 0.5, 0.3
+    growth = Growth(*np.array([[np.nan], [0.01]]), np.array([True]))
+    bank.start_key_frames(step_to(0.1, 40.0, bank, growth=growth))
+    states = bank.states
+    assert states.r == pytest.approx(of(40.0))
+    assert states.P[3, :, 0, 0, 0] == pytest.approx([4.0, 0.5, 0.0, 4.0])
+    assert states.P[:, 3, 0, 0, 0] == pytest.approx([4.0, 0.5, 0.0, 4.0])
+    step = step_to(0.1, 30.0, bank)
+    bank.restart(step, bank.gate(step)._replace(starts=np.ones((1, 1, 1), np.bool_)))
+    assert states.x[:3, 0, 0, 0] == pytest.approx([30.0, 0.0, 0.0])
+    assert np.isnan(states.r).all()
+    assert states.P[:, :, 0, 0, 0] == pytest.approx(np.diag([9.0, 144.0, 0.0, 0.0]))
 
 
 def test_an_error_that_is_new_in_each_frame_is_one_of_both_speeds_of_a_change():
     """0.5 m/s: 0.4 m/s are new in each frame, 0.3 m/s last."""
-    dt, last_mps = np.full((1, 1, 1), 0.5), np.full((1, 1, 1), 9.0)
+    dt, last_mps = np.array([0.5]), np.full((1, 1, 1), 9.0)
     step = EgoStep.of(EgoMotion(8.0, 0.5, noise_mps=0.4), np.array(8.0), last_mps, dt)
     assert step.change_variance == pytest.approx(2 * (0.16 + 0.09 * (1 - np.exp(-0.5))))
 
@@ -219,7 +237,7 @@ def test_an_error_that_is_new_in_each_frame_is_one_of_both_speeds_of_a_change():
 @pytest.mark.parametrize(("sigma_mps", "variance"), [(0.3, 0.18 * (1 - np.exp(-0.5))), (NAN, 0.0)])
 def test_change_of_the_ego_speed(sigma_mps, variance):
     """A change has a variance only if the speed has one, and none where the speed was unknown."""
-    dt, last_mps = np.full((1, 1, 3), 0.5), np.array([[[10.0, 8.0, np.nan]]])
+    dt, last_mps = np.full(3, 0.5), np.array([[[10.0, 8.0, np.nan]]])
     step = EgoStep.of(EgoMotion(8.0, float(sigma_mps)), np.array(8.0), last_mps, dt)
     assert step.change_mps[0, 0] == pytest.approx([-2.0, 0.0, 0.0])
     expected = np.broadcast_to(step.change_variance, (1, 1, 3))[0, 0]

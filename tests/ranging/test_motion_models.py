@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.ranging.filtering.cut_boxes import CutBoxes
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.filtering.motion_models import InteractingModels, mean_of
@@ -152,24 +151,12 @@ def test_probabilities_follow_the_likelihoods():
 def test_probabilities_return_to_the_prior():
     models = InteractingModels()
     prior, weight = models.prior(np.array([CAR]), True), np.array([0.0, 1.0, 0.0])[None, :, None]
-    soon = models.interact(weight, prior, np.full((1, 3, 1), 4.0))[0, :, 0]
+    soon = models.interact(weight, prior, np.array([4.0]))[0, :, 0]
     assert soon.sum() == pytest.approx(1.0)
     assert 0.02 < soon[0] < 0.04  # 4 of 100 s
     assert soon[2] == pytest.approx(0.5 * (1 - np.exp(-1.0)), abs=0.02)
-    late = models.interact(weight, prior, np.full((1, 3, 1), 1e4))[0, :, 0]
+    late = models.interact(weight, prior, np.array([1e4]))[0, :, 0]
     assert late == pytest.approx(prior[0, :, 0], abs=1e-6)
-
-
-def test_combination_of_estimates():
-    """Two models with 1/4 and 3/4: the spread of the means, 4^2 * 3/16 and 2 * -4 * 3/16, adds to
-    the means of the covariances."""
-    models = InteractingModels()
-    parts = ([10.0, 14.0], [-1.0, -3.0], [1.0, 2.0], [0.0, 0.4], [0.5, 0.1])
-    x, v, P_xx, P_xv, P_vv = (np.array(values)[None, :, None] for values in parts)
-    weight = np.array([0.25, 0.75])[None, :, None]
-    mean = models.combine(ConstantVelocity(x, v, P_xx, P_xv, P_vv), weight)
-    found = [part.item() for part in mean.columns]
-    assert found == pytest.approx([13.0, -2.5, 1.75 + 3.0, 0.3 - 1.5, 0.2 + 0.75])
 
 
 def test_mean_of_a_mixture():
