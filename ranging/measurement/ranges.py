@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -60,6 +60,20 @@ class Ranges:
         span = f", {known_m.min():.1f} to {known_m.max():.1f} m" if len(known_m) else ""
         return f"Ranges({len(known_m)} of {len(self)} measured{span})"
 
+    def with_distances(
+        self, distance_m: FloatArray, sigma_m: FloatArray, systematic_m: FloatArray | None
+    ) -> Ranges:
+        """The ranges with other distances and standard deviations."""
+        return Ranges(
+            self.track_id,
+            distance_m,
+            sigma_m,
+            systematic_m,
+            self.details,
+            self.growth,
+            self.is_fallback,
+        )
+
     def widened(self, relative_sigma: float) -> Ranges:
         """The ranges with a further error, independent of theirs, of `relative_sigma` times the
         distance.
@@ -67,19 +81,16 @@ class Ranges:
         if not relative_sigma:
             return self
         sigma_m = np.hypot(self.sigma_m, relative_sigma * self.distance_m)
-        return replace(self, sigma_m=sigma_m)
+        return self.with_distances(self.distance_m, sigma_m, self.sigma_systematic_m)
 
     def scaled(self, factor: float) -> Ranges:
         """The ranges with distances and standard deviations times a factor."""
         if factor == 1.0:
             return self
         systematic_m = self.sigma_systematic_m
-        return replace(
-            self,
-            distance_m=self.distance_m * factor,
-            sigma_m=self.sigma_m * factor,
-            sigma_systematic_m=None if systematic_m is None else systematic_m * factor,
-        )
+        if systematic_m is not None:
+            systematic_m = systematic_m * factor
+        return self.with_distances(self.distance_m * factor, self.sigma_m * factor, systematic_m)
 
     @classmethod
     def unmeasured(cls, track_id: IntArray) -> Ranges:

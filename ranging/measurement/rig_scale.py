@@ -29,12 +29,11 @@ class DisparityOffset:
         inverse_px = ranges.distance_m / self.focal_baseline_px_m
         ratio = 1.0 + self.px * inverse_px
         ratio = np.where(ratio > _MIN_RATIO, ratio, np.nan)
-        with np.errstate(invalid="ignore"):
-            own = (ranges.sigma_m / ranges.distance_m) ** 2 - (self.known_px * inverse_px) ** 2
+        own = (ranges.sigma_m / ranges.distance_m) ** 2 - (self.known_px * inverse_px) ** 2
         distance_m = ranges.distance_m / ratio
         common = self.sigma_px * (inverse_px / ratio - self.centre)
         sigma_m = distance_m * np.hypot(np.sqrt(np.maximum(own, 0.0)) / ratio, common)
-        return replace(ranges, distance_m=distance_m, sigma_m=sigma_m)
+        return ranges.with_distances(distance_m, sigma_m, ranges.sigma_systematic_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +75,7 @@ class RigScale:
             disparity_px = np.where(disparity_px > 0, disparity_px, np.nan)
             distance_m = k / disparity_px
             sigma = np.hypot(sigma, self.offset.sigma_px / disparity_px)
-        return replace(ranges, distance_m=distance_m, sigma_m=sigma * distance_m)
+        return ranges.with_distances(distance_m, sigma * distance_m, ranges.sigma_systematic_m)
 
     def corrected_motion(self, motion: EgoMotion) -> EgoMotion:
         """A motion that the pair, or the road, measured with the true scale, with its error;

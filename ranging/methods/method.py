@@ -11,7 +11,7 @@ import re
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -381,13 +381,12 @@ def checked_ranges(
         return ranges
     if n_invalid is not None:
         _count_invalid(method, ranges, n_invalid)
-    return replace(
-        ranges,
-        distance_m=np.where(is_measured, distance_m, np.nan),
-        sigma_m=np.where(is_measured, sigma_m, np.nan),
-        sigma_systematic_m=None
-        if systematic_m is None
-        else np.where(is_measured, systematic_m, np.nan),
+    if systematic_m is not None:
+        systematic_m = np.where(is_measured, systematic_m, np.nan)
+    return ranges.with_distances(
+        np.where(is_measured, distance_m, np.nan),
+        np.where(is_measured, sigma_m, np.nan),
+        systematic_m,
     )
 
 

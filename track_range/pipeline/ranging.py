@@ -15,7 +15,7 @@ from track_range.foundation.files.input_files import counted
 from track_range.pipeline.clock import StageClock
 from track_range.ranging.measurement.growth import Growth
 from track_range.ranging.measurement.ranges import Ranges
-from track_range.ranging.measurement.rig_scale import RigScale
+from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
 from track_range.ranging.methods.method import MethodError, Ranger, checked_ranges
 from track_range.ranging.registry import methods
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
@@ -37,6 +37,7 @@ class FrameRanges:
     of_rig: Mapping[str, Ranges] = field(default_factory=dict)
     alignment: Alignment | None = None  # of the pair in the frame; None = that of its rig
     disparity: FloatArray32 | None = None  # (H, W) px; None = dense stereo did not run
+    rig: RigScale = CALIBRATED  # by which `ranges` are corrected
 
     @property
     def by_size(self) -> Ranges | None:
@@ -52,8 +53,10 @@ class FrameRanges:
 
     def at_scale(self, rig: RigScale) -> Self:
         """The distances with the scale of the rig as this frame shows it."""
+        if rig == self.rig:
+            return self
         corrected = {name: rig.corrected(ranges) for name, ranges in self.of_rig.items()}
-        return replace(self, ranges={**self.ranges, **corrected})
+        return replace(self, ranges={**self.ranges, **corrected}, rig=rig)
 
     @property
     def growth(self) -> Growth | None:
@@ -129,7 +132,14 @@ class RangingStage:
                 evidence.append(shown)
         self._lanes = lanes
         by_registry = {name: of_rig[name] for name in self._of_rig if name in of_rig}
-        return FrameRanges(ranges, tuple(evidence), by_registry, frame.alignment, self._disparity())
+        return FrameRanges(
+            ranges,
+            tuple(evidence),
+            by_registry,
+            frame.alignment,
+            self._disparity(),
+            scale.rig,
+        )
 
     def skip(self, tracks: Tracks, frame: Frame) -> FrameRanges:
         """No distances of the tracks: the image of the frame, which was started, shows nothing of
