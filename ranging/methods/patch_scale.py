@@ -64,8 +64,10 @@ _MAX_GAP_S = 0.5  # longest time without a measurement
 
 _LINE = np.linspace(-1.0, 1.0, _GRID, dtype=np.float32)
 _X, _Y = np.tile(_LINE, _GRID), np.repeat(_LINE, _GRID)  # (P,) points, in half extents
+_ALL = np.arange(_GRID**2)
 # every second point, for the coarser level
-_COARSE = np.arange(_GRID**2).reshape(_GRID, _GRID)[::2, ::2].ravel()
+_COARSE = _ALL.reshape(_GRID, _GRID)[::2, ::2].ravel()
+_NO_IMAGE: Image = np.zeros((1, 1), np.uint8)
 
 
 class _Key(NamedTuple):
@@ -87,9 +89,11 @@ class _Key(NamedTuple):
     @classmethod
     def of(cls, state: FloatArray) -> _Key:
         P = _GRID**2
-        ends = np.cumsum([P, P, 2, 2, 1, 2, 2, 2, 1, 1])[:-1]
-        parts = np.split(state, ends)
-        return cls(*(part[0] if len(part) == 1 else part for part in parts))
+        template, weight, rest = state[:P], state[P : 2 * P], state[2 * P :]
+        return cls(
+            template, weight, rest[:2], rest[2:4], rest[4], rest[5:7], rest[7:9], rest[9:11],
+            rest[11], rest[12],
+        )  # fmt: skip
 
 
 _N_ROWS = 2 * _GRID**2 + 13
@@ -142,7 +146,8 @@ class _Pyramid:
             centre[:, 1:] + extent[:, 1:] * _Y[points],
         )
         is_inside = (x >= 0) & (x <= x_last) & (y >= 0) & (y <= y_last)
-        x, y = np.clip(x, 0, x_last) + x0, np.clip(y, 0, y_last) + y0
+        x = np.minimum(np.maximum(x, 0), x_last) + x0
+        y = np.minimum(np.maximum(y, 0), y_last) + y0
         return np.asarray(cv2.remap(self._pixels, x, y, cv2.INTER_LINEAR), np.float32), is_inside
 
 
@@ -167,16 +172,16 @@ class PatchScales:
         predicted boxes.
         """
         log_ratio, sigma = np.full((2, len(tracks)), np.nan)
-        pyramid = _Pyramid(image)
         sides_px = tracks.xyxy_px[:, 2:] - tracks.xyxy_px[:, :2]
         middle_px = (tracks.xyxy_px[:, 2:] + tracks.xyxy_px[:, :2]) / 2
-        is_usable = (
-            tracks.observed & (sides_px >= _MIN_SIDE_PX).all(axis=1) & (pyramid.n_levels > 0)
-        )
+        is_usable = tracks.observed & (np.minimum.reduce(sides_px, axis=1) >= _MIN_SIDE_PX)
         state = self._tracks.get(tracks.track_id)
         last = _Key.of(state)
         is_usable &= ~(time_s - last.time_s < np.where(last.time_s == last.key_s, *_INTERVALS_S))
-        rows = np.flatnonzero(is_usable & (time_s - last.time_s <= _MAX_GAP_S))
+        # without a track that is due, the image is not needed
+        pyramid = _Pyramid(image if is_usable.any() else _NO_IMAGE)
+        is_usable &= pyramid.n_levels > 0
+        rows = (is_usable & (time_s - last.time_s <= _MAX_GAP_S)).nonzero()[0]
         if len(rows):
             key = _Key.of(state[:, rows])
             start_px = key.shift_px.T + middle_px[rows] - key.box_px.T
@@ -195,12 +200,13 @@ class PatchScales:
             state[-1, rows] = time_s
         is_old = (time_s - last.key_s >= _MAX_AGE_S - 1e-6) | (np.abs(log_ratio) > _MAX_LOG_RATIO)
         is_key = is_usable & (np.isnan(log_ratio) | is_old)
-        new = np.flatnonzero(is_key)
+        new = is_key.nonzero()[0]
         if len(new):
             centre_px, half_px = middle_px[new], _INNER / 2 * sides_px[new]
             spacing_px = 2 * half_px.max(axis=1) / (_GRID - 1)
-            level = np.clip(np.rint(np.log2(spacing_px)), 0, pyramid.n_levels - 1).astype(np.int64)
-            template, is_inside = pyramid.sampled(centre_px, half_px, level, np.arange(_GRID**2))
+            nearest = np.maximum(np.rint(np.log2(spacing_px)), 0)
+            level = np.minimum(nearest, pyramid.n_levels - 1).astype(np.int64)
+            template, is_inside = pyramid.sampled(centre_px, half_px, level, _ALL)
             weight = is_inside & ~_covered(centre_px, half_px, tracks.xyxy_px, new)
             start = np.array([[0.0, 0.0, 1.0, 1.0]] * len(new))
             times = np.full((len(new), 2), time_s)
@@ -250,12 +256,11 @@ def _aligned(
     n, P = len(rows), _GRID**2
     half_px, centre_px, s, t = key.half_px.T, key.centre_px.T, key.scale.T, shift_px
     T, step_px = key.template.T.astype(np.float32), 2 * half_px / (_GRID - 1)
-    T_y, T_x = (
-        slope.reshape(n, P) for slope in np.gradient(T.reshape(n, _GRID, _GRID), axis=(1, 2))
-    )
-    contrast = T - T.mean(axis=1, keepdims=True)
+    T_x, T_y = _slopes(T)
+    contrast = T - np.add.reduce(T, axis=1, keepdims=True) / P
     # t in points, s in half extents
-    A = np.stack([T_x, T_y, T_x * _X, T_y * _Y, contrast, np.ones_like(T)], axis=1)
+    A = np.empty((n, 6, P), np.float32)
+    A[:, 0], A[:, 1], A[:, 2], A[:, 3], A[:, 4], A[:, 5] = T_x, T_y, T_x * _X, T_y * _Y, contrast, 1
     unit = np.concatenate([step_px, step_px / half_px], axis=1)
     limit = np.concatenate([_MAX_STEP * half_px, np.full((n, 2), _MAX_STEP / 3)], axis=1)
     level = key.level.astype(np.int64)
@@ -264,29 +269,32 @@ def _aligned(
     )
     for points, terms, n_steps in (
         (_COARSE, [0, 1, 4, 5], _N_COARSE),
-        (np.arange(P), [0, 1, 2, 3, 4, 5], _N_FINE),
+        (_ALL, [0, 1, 2, 3, 4, 5], _N_FINE),
     ):
-        A_now, w_now = (
-            np.ascontiguousarray(A[:, terms][:, :, points]),
-            np.ascontiguousarray(weight[:, points]),
-        )
+        is_coarse = len(points) < P
+        A_now, w_now = A, weight
+        if is_coarse:
+            A_now = np.ascontiguousarray(A[:, terms][:, :, points])
+            w_now = np.ascontiguousarray(weight[:, points])
+        k, damping = len(terms) - 2, 1e-3 * np.eye(len(terms))
+        unit_now, limit_now = unit[:, :k], limit[:, :k]
         w = w_now
         for _ in range(n_steps):
-            is_coarse = len(points) < P
             now, is_inside = pyramid.sampled(centre_px + t, s * half_px, level + is_coarse, points)
             W = w * is_inside
             AW = A_now * W[:, None]
-            total = W.sum(axis=1) + 1.0
-            H = (AW @ A_now.transpose(0, 2, 1)).astype(np.float64) + 1e-3 * np.eye(len(terms))
+            total = np.add.reduce(W, axis=1) + 1.0
+            H = (AW @ A_now.transpose(0, 2, 1)).astype(np.float64) + damping
             x = np.linalg.solve(H, (AW @ now[..., None]).astype(np.float64))[..., 0]
             r = now - (x[:, None].astype(np.float32) @ A_now)[:, 0]
-            noise = _NOISE_GREY + 1.25 * (W * np.abs(r)).sum(axis=1) / total
+            noise = _NOISE_GREY + 1.25 * np.add.reduce(W * np.abs(r), axis=1) / total
             w = w_now / (1 + (r / (_CAUCHY * noise[:, None])) ** 2)
-            g, k = np.maximum(x[:, -2:-1], 0.1), len(terms) - 2
-            change = np.clip(x[:, :k] * unit[:, :k] / g, -limit[:, :k], limit[:, :k])
-            s = s if is_coarse else np.clip(s / (1 + change[:, 2:]), *_SCALES)
+            g = np.maximum(x[:, -2:-1], 0.1)
+            change = np.minimum(np.maximum(x[:, :k] * unit_now / g, -limit_now), limit_now)
+            if not is_coarse:
+                s = np.minimum(np.maximum(s / (1 + change[:, 2:]), _SCALES[0]), _SCALES[1])
             t = t - s * change[:, :2]
-            if (np.abs(change) < _SMALL * unit[:, :k]).all():
+            if (np.abs(change) < _SMALL * unit_now).all():
                 break
     residual = (W * r * r).sum(axis=1) / total
     signal = g[:, 0] ** 2 * (W * contrast * contrast).sum(axis=1) / total
@@ -297,8 +305,24 @@ def _aligned(
     covariance *= (_FIT**2 * residual * per_pixel)[:, None, None]
     sigma = np.sqrt(covariance[:, [0, 1], [0, 1]])
     is_good = (np.abs(change[:, 2:]) < np.maximum(_CONVERGED[0], _CONVERGED[1] * sigma)).all(axis=1)
-    is_good &= (signal > _MIN_CORRELATION**2 * (signal + residual)) & (W.mean(axis=1) > _MIN_WEIGHT)
+    is_good &= (signal > _MIN_CORRELATION**2 * (signal + residual)) & (
+        np.add.reduce(W, axis=1) > _MIN_WEIGHT * P
+    )
     return t, s, covariance, is_good
+
+
+def _slopes(template: FloatArray32) -> tuple[FloatArray32, FloatArray32]:
+    """(N, P) slopes of templates (N, P) per point to the right and down: central differences, and
+    one-sided ones at the edges.
+    """
+    T = template.reshape(-1, _GRID, _GRID)
+    across, down = np.empty_like(T), np.empty_like(T)
+    for slope, axis in ((across, 2), (down, 1)):
+        values, slope = T.swapaxes(axis, 2), slope.swapaxes(axis, 2)
+        slope[..., 1:-1] = (values[..., 2:] - values[..., :-2]) / 2
+        slope[..., 0] = values[..., 1] - values[..., 0]
+        slope[..., -1] = values[..., -1] - values[..., -2]
+    return across.reshape(template.shape), down.reshape(template.shape)
 
 
 def _covered(
