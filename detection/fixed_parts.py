@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 
 from track_range.detection.detections import Detections
-from track_range.foundation.arrays import BoolArray, FloatArray32, Image
+from track_range.foundation.arrays import BoolArray, FloatArray32, Image, IntArray
 from track_range.foundation.files.input_files import counted
 
 # longer side of the grid of compared pixels; their neighbours are those of the whole image, in
@@ -67,6 +67,8 @@ class FixedParts:
     # (H // stride, W // stride) pixels that do not move with the scene; (0, 0) = not known
     is_fixed: BoolArray = field(default_factory=_nothing_fixed)
     n_left_out: int = 0  # number of boxes that were left out
+    # number of fixed pixels above and on the left of each pixel
+    _n_fixed: IntArray = field(default_factory=lambda: np.zeros((1, 1), np.int64))
     _last_s: float = -np.inf
     _image_hw: tuple[int, ...] = (0, 0)
     # coarse slopes of the last compared image; mean and mean square of the slopes of all
@@ -113,6 +115,7 @@ class FixedParts:
             return
         same = n * _squared(self._mean) - self._square
         self.is_fixed = same > _MIN_COHERENCE * (n - 1) * np.maximum(self._square, _TEXTURE)
+        self._n_fixed = cv2.integral(self.is_fixed.view(np.uint8)).astype(np.int64)
 
     def moving(self, detections: Detections, image: Image) -> Detections:
         """The detections in the image of the last `add` without those on fixed parts."""
@@ -120,8 +123,7 @@ class FixedParts:
             return detections
         edges = np.clip(detections.xyxy_px / _stride_px(image), 0, 2 * self.is_fixed.shape[::-1])
         x1, y1, x2, y2 = edges.astype(np.int64).T
-        # number of fixed pixels up to a pixel
-        n = cv2.integral(self.is_fixed.view(np.uint8)).astype(np.int64)
+        n = self._n_fixed
         n_fixed = n[y2, x2] - n[y1, x2] - n[y2, x1] + n[y1, x1]
         is_large = (x2 - x1 >= _BLOCK) & (y2 - y1 >= _BLOCK)
         centre = (detections.xyxy_px[:, :2] + detections.xyxy_px[:, 2:]) / 2

@@ -64,7 +64,7 @@ _RAISED_M = 0.07
 _ALL_Z = np.arange(40.0, -40.0, -_STEP_Z_M)
 # samples per cell in both directions, of which a cell has the mean: cells near the camera have many
 # pixels, of which a single one would be aliased, so that shifts are drawn to whole cells
-_N_SAMPLES = 4
+_N_SAMPLES = 3
 _STRIP_M = 2.0  # length of a strip
 _N_STRIP = round(_STRIP_M / _STEP_Z_M)  # cells of it
 _MIN_DEVIATION2 = 1.0  # smallest sum of squared deviations of a strip that is compared
@@ -481,7 +481,8 @@ def _strip_correlations(
     likeness = (strips @ windows.T) / np.sqrt(np.maximum(deviation2, _MIN_DEVIATION2))
     nearer = top[:, None] + np.arange(n_shifts)  # first rows of the windows
     last = windows.shape[0] - 1
-    scores = np.take_along_axis(likeness.astype(np.float64), np.minimum(nearer, last), axis=1)
+    number = np.arange(len(top))[:, None]
+    scores = likeness.astype(np.float64)[number, np.minimum(nearer, last)]
     scores[nearer > last] = np.nan
     return _STEP_Z_M * (top + (_N_STRIP - 1) / 2), scores
 
@@ -490,8 +491,9 @@ def _windows(picture: npt.NDArray[Any], step: int = 1) -> npt.NDArray[Any]:
     """(K, 20 W) values of the parts of a picture (H, W) that are as long as a strip, `step` rows
     apart.
     """
-    parts = sliding_window_view(picture, _N_STRIP, axis=0)[::step]
-    return parts.reshape(len(parts), -1)
+    width = picture.shape[1]
+    parts = sliding_window_view(picture.ravel(), _N_STRIP * width)
+    return parts[:: step * width].copy()
 
 
 def _moved_sums(cumulative: FloatArray) -> FloatArray:

@@ -268,18 +268,23 @@ def fit_epipolar(
     rotation, t = np.asarray(cv2.Rodrigues(np.array([-y, x, 0.0]))[0], np.float64), direction
     sigma = np.full(len(now), noise)
     for k in range(_N_ROUNDS):
+        n = 3 if k < _N_ROTATION_ROUNDS else 5
+        if k == 0 or n == 5:
+            tangents = _tangents(t)
+            forms = _forms(t, tangents[: n - 3])
         if k in _ROUNDS_OF_NOISE:
             moved2 = ((rays.now - rays.turned(rotation)) ** 2).sum(axis=0)
             sigma = np.sqrt(noise**2 + _FLOW_NOISE**2 * moved2)
-        n = 3 if k < _N_ROTATION_ROUNDS else 5
-        tangents = _tangents(t)
-        distances = rays.sampson(rotation, t, tangents[: n - 3])
+        if k == 0 or k in _ROUNDS_OF_NOISE:
+            per_sigma = 1.0 / (sigma * rays.scale(rotation, t))
+        # Sampson distances in standard deviations, and their derivatives
+        distances = (forms @ rotation).reshape(-1, 9) @ rays.products * per_sigma
         residual, jacobian = distances[0], distances[1:]
-        size = np.abs(residual) / sigma
+        size = np.abs(residual)
         # a tenth of the time of numpy's median for so few values
         median = np.sort(size)[len(size) // 2]
         spread = max(MAD_TO_SIGMA * float(median), 1.0)
-        weight = ((1.0 - np.minimum(size / (_TUKEY * spread), 1.0) ** 2) / (spread * sigma)) ** 2
+        weight = ((1.0 - np.minimum(size / (_TUKEY * spread), 1.0) ** 2) / spread) ** 2
         weighted = jacobian * weight
         information, gradient = weighted @ jacobian.T, weighted @ residual
         if n == 5:
@@ -289,7 +294,7 @@ def fit_epipolar(
             gradient[3:] += pull @ (travel_from_camera @ (t - direction))[:2]
         regular = information.copy()  # it is singular if too few points have weight
         regular.flat[:: n + 1] += 1e-9 * regular.trace()
-        step = -cv2.solve(regular, gradient[:, None])[1].ravel()
+        step = -cv2.solve(regular, gradient[:, None])[1][:, 0]
         rotation = np.asarray(cv2.Rodrigues(step[:3])[0] @ rotation, np.float64)
         if n == 5:
             t = t + step[3:] @ tangents
@@ -297,7 +302,8 @@ def fit_epipolar(
         # the squared length of the step, in standard deviations
         if k >= _FEWEST_ROUNDS and -float(step @ gradient) < _SMALL_STEP2:
             break
-    residual = rays.sampson(rotation, t, tangents[:0])[0]
+    essential = (_forms(t, tangents[:0])[:1] @ rotation).reshape(9)
+    residual = essential @ rays.products / rays.scale(rotation, t)
     covariance = np.linalg.inv(information)
     # The epipolar lines of t and -t are the same, but the points move as by one of them.
     flow = rays.now - rays.turned(rotation)  # (t - p' t_z) / z for a point at depth z
@@ -364,20 +370,23 @@ class _RayPairs(NamedTuple):
         turned = rotation @ self.both[:3]
         return np.asarray(turned / turned[2])
 
-    def sampson(self, rotation: FloatArray, t: FloatArray, tangents: FloatArray) -> FloatArray:
-        """(4 + K, N) Sampson distances p'^T [t]x R p / scale, and their derivatives by the rotation
-        (3) and along the tangents (K, 3) of t.
-
-        For R + [dw]x R, the derivative is p'^T [t]x [dw]x R p / scale.
+    def scale(self, rotation: FloatArray, t: FloatArray) -> FloatArray:
+        """(N,) lengths of the gradients of p'^T [t]x R p, by which it becomes the Sampson
+        distance.
         """
-        turns = np.concatenate([t[None], tangents]) @ _SKEW.reshape(3, 9)
-        turns = turns.reshape(-1, 3, 3)
-        T = turns[0]
-        forms = np.concatenate([T[None], T @ _SKEW, turns[1:]]) @ rotation
+        T = (t @ _SKEW.reshape(3, 9)).reshape(3, 3)
         gradients = np.zeros((4, 6))
-        gradients[:2, :3], gradients[2:, 3:] = forms[0, :2], T[:2]
-        scale = np.sqrt(((gradients @ self.both) ** 2).sum(axis=0)) + 1e-9
-        return np.asarray(forms.reshape(-1, 9) @ self.products / scale, np.float64)
+        gradients[:2, :3], gradients[2:, 3:] = T[:2] @ rotation, T[:2]
+        return np.sqrt(((gradients @ self.both) ** 2).sum(axis=0)) + 1e-9
+
+
+def _forms(t: FloatArray, tangents: FloatArray) -> FloatArray:
+    """(4 + K, 3, 3) matrices M of p'^T M R p: [t]x, and its derivatives [t]x [dw]x by the rotation
+    [dw]x R and [dt]x along the tangents (K, 3) of t.
+    """
+    turns = np.concatenate([t[None], tangents]) @ _SKEW.reshape(3, 9)
+    T, *by_t = turns.reshape(-1, 3, 3)
+    return np.array([T, *(T @ _SKEW), *by_t])
 
 
 def _tangents(t: FloatArray) -> FloatArray:

@@ -117,13 +117,19 @@ def isotropy(grey: Image, points: FloatArray32) -> FloatArray32:
     The flow along an edge is not determined by the image (the aperture problem). `grey` (H, W) is
     the small image, and the points are its `ranked_corners`.
     """
-    half = halved(grey)
-    x_slope, y_slope = cv2.Sobel(half, cv2.CV_32F, 1, 0), cv2.Sobel(half, cv2.CV_32F, 0, 1)
+    slopes = cv2.spatialGradient(halved(grey))
+    height, width = slopes[0].shape
     column, row = np.rint((points - 0.5) / 2).astype(np.int64).T
-    xx, yy, xy = (
-        np.asarray(cv2.boxFilter(product, -1, (_TENSOR_PX, _TENSOR_PX)), np.float32)[row, column]
-        for product in (x_slope * x_slope, y_slope * y_slope, x_slope * y_slope)
+    reach = np.arange(_TENSOR_PX) - _TENSOR_PX // 2
+    rows = np.abs(row[:, None] + reach)  # the image is mirrored at its edges
+    columns = np.abs(column[:, None] + reach)
+    rows, columns = (
+        np.minimum(places, 2 * (size - 1) - places)
+        for places, size in ((rows, height), (columns, width))
     )
+    pixels = (rows[:, :, None] * width + columns[:, None]).reshape(len(points), -1)
+    x, y = (slope.ravel()[pixels].astype(np.float32) for slope in slopes)
+    xx, yy, xy = (np.einsum("ij,ij->i", a, b) / _TENSOR_PX**2 for a, b in ((x, x), (y, y), (x, y)))
     mean, difference = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
     return np.asarray((mean - difference) / np.maximum(mean + difference, _MIN_TENSOR), np.float32)
 
