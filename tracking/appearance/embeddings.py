@@ -91,7 +91,6 @@ class ColourLayout:
         self._v = (np.arange(settings.n_rows) + 0.5) / settings.n_rows
         x, y = (self._u - 0.5) / settings.spread_x, (self._v - 0.5) / settings.spread_y
         self._weight = np.exp(-0.5 * (x**2 + y[:, None] ** 2))
-        self._band = np.arange(settings.n_rows) * settings.n_bands // settings.n_rows
         level = (np.arange(_N_LEVELS) + 0.5) * (256 / _N_LEVELS) - 0.5
         chroma = (level - 128.0) / settings.chroma_span / 2 + 0.5
         self._soft_bins = np.stack(
@@ -127,21 +126,18 @@ class ColourLayout:
         lab = cv2.cvtColor(
             bgr.reshape(n * settings.n_rows, settings.n_columns, 3), cv2.COLOR_BGR2LAB
         )
-        # One histogram of all boxes, indexed by channel, box, band and level.
-        offset = (np.arange(n)[:, None] * settings.n_bands + self._band) * _N_LEVELS
-        level = lab.reshape(n, settings.n_rows, settings.n_columns, 3) // (256 // _N_LEVELS)
-        n_cells = n * settings.n_bands * _N_LEVELS
-        index = (
-            level.transpose(3, 0, 1, 2)
-            + offset[:, :, None]
-            + (np.arange(3) * n_cells)[:, None, None, None]
-        )
-        weights = np.broadcast_to(weight, index.shape)
-        counts = np.bincount(index.ravel(), weights.ravel(), minlength=3 * n_cells)
-        histograms = counts.reshape(3, -1, _N_LEVELS) @ self._soft_bins
+        # one histogram of all boxes and bands for each channel, whose rows are consecutive
+        band = np.arange(n * settings.n_rows) // (settings.n_rows // settings.n_bands)
+        first, n_cells = _N_LEVELS * band[:, None], n * settings.n_bands * _N_LEVELS
+        parts = []
+        for plane, soft_bins in zip(cv2.split(lab), self._soft_bins, strict=True):
+            cell = first + plane // (256 // _N_LEVELS)
+            counts = np.bincount(cell.ravel(), weight.ravel(), minlength=n_cells)
+            parts.append((counts.reshape(-1, _N_LEVELS) @ soft_bins).reshape(n, -1))
+        histograms = np.concatenate(parts, axis=1)
         if not has_colour:
-            histograms[1:] = 0.0
-        return unit_rows(np.sqrt(histograms).reshape(3, n, -1).transpose(1, 0, 2).reshape(n, -1))
+            histograms[:, parts[0].shape[1] :] = 0.0
+        return unit_rows(np.sqrt(histograms))
 
     def _sampled(self, image: Image, xyxy_px: FloatArray) -> tuple[Image, FloatArray]:
         """(N, rows, columns, 3) colours at the points of the grid, and their weights, 0 outside the
