@@ -377,7 +377,7 @@ class _RayPairs(NamedTuple):
         T = (t @ _SKEW.reshape(3, 9)).reshape(3, 3)
         gradients = np.zeros((4, 6))
         gradients[:2, :3], gradients[2:, 3:] = T[:2] @ rotation, T[:2]
-        return np.sqrt(((gradients @ self.both) ** 2).sum(axis=0)) + 1e-9
+        return np.asarray(np.sqrt(((gradients @ self.both) ** 2).sum(axis=0)) + 1e-9)
 
 
 def _forms(t: FloatArray, tangents: FloatArray) -> FloatArray:

@@ -127,7 +127,7 @@ def isotropy(grey: Image, points: FloatArray32) -> FloatArray32:
         np.minimum(places, 2 * (size - 1) - places)
         for places, size in ((rows, height), (columns, width))
     )
-    pixels = (rows[:, :, None] * width + columns[:, None]).reshape(len(points), -1)
+    pixels = (rows[:, :, None] * width + columns[:, None]).reshape(-1, _TENSOR_PX**2)
     x, y = (slope.ravel()[pixels].astype(np.float32) for slope in slopes)
     xx, yy, xy = (np.einsum("ij,ij->i", a, b) / _TENSOR_PX**2 for a, b in ((x, x), (y, y), (x, y)))
     mean, difference = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
