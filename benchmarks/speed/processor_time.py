@@ -10,6 +10,7 @@ import time
 from argparse import Namespace
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import reduce, wraps
 from pathlib import Path
@@ -45,6 +46,8 @@ STEPS: dict[str, tuple[str, ...]] = {
     "appearance": ("tracking.appearance.embeddings:ColourLayout.embed",),
     "tracking": ("tracking.deepsort:DeepSortTracker.update",),
     "ranging": ("pipeline.ranging:RangingStage.measure",),
+    # in a thread of its own, twice in a drive
+    "focal length by shapes": ("ranging.cameras.shape_evidence:vehicle_shapes",),
     "fusion, filters, warnings": ("pipeline.frame_pipeline:FramePipeline.step",),
     "drawing": ("views.overlay.annotator:Overlay.draw",),
     "colour conversion, written": ("views.videos.video_writer:_i420",),
@@ -92,17 +95,16 @@ class _Thread:
     """
 
     name: str
+    number: int = field(default_factory=threading.get_native_id)
     times_s: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     nested_s: list[float] = field(default_factory=list)
 
     def read_scheduler(self) -> None:
-        on_core_ns, queued_ns, _ = (
-            Path("/proc/thread-self/schedstat").read_text(encoding="ascii").split()
-        )
-        self.times_s["on a core"], self.times_s["queued"] = (
-            int(on_core_ns) * 1e-9,
-            int(queued_ns) * 1e-9,
-        )
+        """Read the counts of the system; those of a thread that has ended remain the last ones."""
+        with suppress(OSError):
+            counts = Path(f"/proc/self/task/{self.number}/schedstat").read_text(encoding="ascii")
+            on_core_ns, queued_ns, _ = map(int, counts.split())
+            self.times_s["on a core"], self.times_s["queued"] = on_core_ns * 1e-9, queued_ns * 1e-9
 
 
 class _Probe:
@@ -118,7 +120,8 @@ class _Probe:
 
     def times_s(self) -> Times:
         """Name and times so far of each thread; "process" is the processor time of all threads."""
-        self._thread.read_scheduler()
+        for thread in self._threads:
+            thread.read_scheduler()
         used = resource.getrusage(resource.RUSAGE_SELF)
         now = {"wall": time.perf_counter(), "on a core": used.ru_utime + used.ru_stime}
         return [
@@ -147,8 +150,6 @@ class _Probe:
                 thread.times_s[step] += spent_s - thread.nested_s.pop()
                 if thread.nested_s:
                     thread.nested_s[-1] += spent_s
-                else:
-                    thread.read_scheduler()
 
         return timed
 
@@ -194,7 +195,9 @@ def processor_time(options: Namespace) -> Figures:
         steps["sum"][name], steps["wall time"][name] = process["on a core"], process["wall"]
         keys = ("on a core", "queued", "input", "room")
         waits[name] = {
-            thread: {key: ms.get(key, 0.0) for key in keys} for thread, ms in by_thread.items()
+            thread: {key: ms.get(key, 0.0) for key in keys}
+            | {"other": ms.get("on a core", 0.0) - sum(ms.get(step, 0.0) for step in STEPS)}
+            for thread, ms in by_thread.items()
         }
     return {"steps_ms": steps, "threads_ms": waits}
 
