@@ -22,7 +22,8 @@ from track_range.foundation.files.output_files import OutputError
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.events.event import Event
 from track_range.results.events.finder import EventFinder
-from track_range.results.rows.arrow import FrameValues, record_batch, rounded_batch, rows_schema
+from track_range.results.rows.arrow import record_batch, rounded_batch, rows_schema
+from track_range.results.rows.column import FrameValues, RowReader
 from track_range.results.rows.columns import result_columns
 from track_range.results.rows.rows import Rows
 
@@ -45,6 +46,7 @@ class RunTable:
 
     def __init__(self, *, rows_per_batch: int = ROWS_PER_BATCH) -> None:
         self.columns = result_columns()
+        self._reader = RowReader(self.columns)
         self._rows_per_batch = rows_per_batch
         self._buffer: list[FrameValues] = []
         self._n_buffered = 0
@@ -63,7 +65,7 @@ class RunTable:
         if not len(result.tracks):
             return
         # copies, since the caller may change the arrays of the result
-        self._buffer.append([np.array(column.read(result)) for column in self.columns])
+        self._buffer.append(self._reader.read(result))
         self._n_buffered += len(result.tracks)
         if self._n_buffered >= self._rows_per_batch or len(self._buffer) >= FRAMES_PER_BATCH:
             try:
@@ -221,6 +223,7 @@ class RecentRows:
     def __init__(self, keep_s: float, finder: EventFinder | None = None) -> None:
         self._keep_s, self._finder = keep_s, finder or EventFinder()
         self._columns = result_columns()
+        self._reader = RowReader(self._columns)
         self._rows: deque[tuple[float, FrameValues]] = deque()
 
     def add(self, result: FrameResult) -> None:
@@ -228,9 +231,7 @@ class RecentRows:
         self._finder.update(result)
         if len(result.tracks):
             # copies, since the caller may change the arrays of the result
-            self._rows.append(
-                (result.time_s, [np.array(column.read(result)) for column in self._columns])
-            )
+            self._rows.append((result.time_s, self._reader.read(result)))
         first_s = result.time_s - self._keep_s
         self._finder.forget(first_s)
         while self._rows and self._rows[0][0] < first_s:

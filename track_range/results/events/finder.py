@@ -28,6 +28,7 @@ from track_range.ranging.warning.safety import (
     apart_m,
     post_encroachment_s,
 )
+from track_range.ranging.warning.settings import WarningSettings
 from track_range.results.events.event import (
     WARNING_KINDS,
     Event,
@@ -58,6 +59,7 @@ _MIN_ALONG_MPS = 2.0  # of a vehicle that moves in the direction of the ego vehi
 _MAX_CUT_IN_M = 40.0  # farther away, the lateral position is too uncertain
 _MIN_CLOSING_MPS = 2.0  # of a hard approach; below, a touch at walking speed
 _MAX_SPEED_MPS = 70.0  # of a road user; above, the track is wrong
+_WARNING = WarningSettings()  # of the width of the ego vehicle
 _CLEAR_SIGMAS = 2.0  # a gap of fewer standard deviations does not exclude a contact
 # of a hard approach, more than tyres allow; above, it was a contact, or wrong
 _MAX_BRAKING_MPS2 = 15.0
@@ -103,7 +105,7 @@ class Situation:
                 ego_mps=result.ego_mps,
                 warnings=warnings,
             )
-        apart = apart_m(offset_m, class_id)
+        apart = apart_m(offset_m, class_id, _WARNING)
         return cls(
             distance_m=distance_m,
             sigma_m=sigma_m,
@@ -158,7 +160,7 @@ class Conditions:
         is_close = (
             is_along & is_in_path & is_fast & (now.safety.headway_s < settings.close_headway_s)
         )
-        own_mps = np.nan_to_num(ego_mps) - now.closing_mps
+        own_mps = (ego_mps if math.isfinite(ego_mps) else 0.0) - now.closing_mps
         is_critical = (now.probability >= settings.near_miss_probability) & (
             np.abs(own_mps) < _MAX_SPEED_MPS
         )
@@ -232,7 +234,7 @@ class EventFinder:
         now = Situation.of(result)
         self._follow_paths(result)
         for kind, holds in self._conditions.update(result, now).items():
-            for row in np.flatnonzero(holds).tolist():
+            for row in holds.nonzero()[0].tolist():
                 self._extend(kind, result, now, row)
         for event in self._open:
             if event.kind == "near_miss":  # also after its condition has ended

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Sequence
-from operator import methodcaller
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, re
 from track_range.foundation.files.output_files import OutputError
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.formats.row_file import RowWriter, csv_text
+from track_range.results.rows.column import RowReader
 from track_range.results.rows.columns import (
     MAX_COLUMNS,
     MAX_NAME,
@@ -42,12 +43,26 @@ class CsvWriter(RowWriter):
 
     def header(self) -> str:
         """Names of the columns."""
-        self._columns = result_columns()
-        return csv_text([[column.name for column in self._columns]])
+        columns = result_columns()
+        self._reader = RowReader(columns)
+        self._line = ",".join(column.cell for column in columns) + "\n"
+        return csv_text([[column.name for column in columns]])
 
     def rows(self, result: FrameResult) -> str:
         """The rows of a frame."""
-        return csv_text(zip(*map(methodcaller("text", result), self._columns), strict=True))
+        values = self._reader.read(result)
+        numbers, others = iter(values.numbers.tolist()), iter(values.others)
+        cells: list[Sequence[float | str]] = []
+        for column in self._reader.columns:
+            if column.kind == "number":
+                cells.append(next(numbers))
+            elif column.kind == "name":
+                codes = next(others).tolist()
+                cells.append(["" if isnan(code) else column.names[int(code)] for code in codes])
+            else:
+                cells.append(next(others).tolist())
+        # formatted line by line; names of classes and states do not contain "nan"
+        return "".join([self._line % row for row in zip(*cells, strict=True)]).replace("nan", "")
 
 
 def read_tracks_csv(path: Path) -> dict[str, npt.NDArray[Any]]:

@@ -8,7 +8,6 @@ and is read instead.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,7 +23,8 @@ from track_range.foundation.schemas.schema_version import check_schema_version
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.formats.row_file import RowFile
 from track_range.results.formats.run_info import RunInfo
-from track_range.results.rows.arrow import FrameValues, record_batch, rows_schema
+from track_range.results.rows.arrow import record_batch, rows_schema
+from track_range.results.rows.column import RowReader
 from track_range.results.rows.columns import (
     MAX_COLUMNS,
     MAX_NAME,
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 PARQUET_FILE, STREAM_FILE = "tracks.parquet", "tracks.arrows"
+_END = b"\xff\xff\xff\xff\0\0\0\0"  # of an Arrow IPC stream, which goes on with later frames
 _ROWS_PER_GROUP = 32_768  # rows per row group, about 9 MB in memory: minutes of video
 
 
@@ -51,26 +52,21 @@ class ParquetWriter:
 
         self._path, self._stream_path = folder / PARQUET_FILE, folder / STREAM_FILE
         self._columns = result_columns()
+        self._reader = RowReader(self._columns)
         self._schema = rows_schema(self._columns, info.provenance.metadata())
-        self._messages = io.BytesIO()
-        self._stream = pa.ipc.new_stream(self._messages, self._schema)
-        # the batch without rows contains the class names, which later batches refer to
-        self._file = RowFile(self._stream_path, self._message([]))
+        start = pa.BufferOutputStream()
+        with pa.ipc.new_stream(start, self._schema) as stream:
+            # this batch without rows contains the class names, which later batches refer to
+            stream.write_batch(record_batch([], self._columns, self._schema))
+        self._file = RowFile(self._stream_path, start.getvalue().to_pybytes()[: -len(_END)])
 
     def write(self, result: FrameResult) -> None:
         """Add the rows of a frame to tracks.arrows."""
-        rows = [[column.read(result) for column in self._columns]]
-        self._file.write(self._message(rows) if len(result.tracks) else b"")
-
-    def _message(self, frames: list[FrameValues]) -> bytes:
-        """Rows of frames as a message of an Arrow IPC stream; before the first message, the
-        schema.
-        """
-        self._stream.write_batch(record_batch(frames, self._columns, self._schema))
-        content = self._messages.getvalue()
-        self._messages.seek(0)  # alignment is relative to the start of a message
-        self._messages.truncate()
-        return content
+        if not len(result.tracks):
+            self._file.write(b"")
+            return
+        batch = record_batch([self._reader.read(result)], self._columns, self._schema)
+        self._file.write(batch.serialize())
 
     def discard_last(self) -> None:
         """Remove the rows of the last frame."""

@@ -8,13 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from track_range.results.rows.column import DTYPES, ResultColumn
+from track_range.results.rows.column import DTYPES, FrameValues, ResultColumn
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-# values of the rows of one frame, not rounded: one (N,) array per column
-FrameValues = list[npt.NDArray[Any]]
 
 
 def rows_schema(
@@ -46,22 +43,33 @@ def record_batch(
     """
     import pyarrow as pa
 
-    arrays = []
-    for column, parts in zip(
-        columns, zip(*frames, strict=True) if frames else [()] * len(columns), strict=True
-    ):
-        dtype = np.float64 if column.kind == "name" else DTYPES[column.kind]
-        values: npt.NDArray[Any]
-        if len(parts) == 1:
-            values = np.ascontiguousarray(parts[0], dtype)
-        else:
-            values = np.concatenate([*parts, np.zeros(0, dtype)], dtype=dtype, casting="unsafe")
+    n_rows = sum(frame.numbers.shape[1] for frame in frames)
+    numbers = _joined([frame.numbers for frame in frames], np.float64)
+    # columns are parts of one array, since creating an array takes longer than a part of one
+    all_numbers = pa.array(numbers.ravel(), from_pandas=True)  # NaN becomes null
+    arrays, begin, n_others = [], 0, 0
+    for column in columns:
+        if column.kind == "number":
+            arrays.append(all_numbers.slice(begin, n_rows))
+            begin += n_rows
+            continue
+        others = [frame.others[n_others] for frame in frames]
+        n_others += 1
         if column.kind == "name":
-            codes = pa.array(np.nan_to_num(values).astype(np.int8), mask=np.isnan(values))
+            values = _joined(others, np.float64)
+            is_unknown = np.isnan(values)
+            codes = pa.array(np.where(is_unknown, 0, values).astype(np.int8), mask=is_unknown)
             arrays.append(pa.DictionaryArray.from_arrays(codes, pa.array(column.names)))
         else:
-            arrays.append(pa.array(values, from_pandas=True))  # NaN becomes null
+            arrays.append(pa.array(_joined(others, DTYPES[column.kind])))
     return pa.record_batch(arrays, schema=schema)
+
+
+def _joined(parts: Sequence[npt.NDArray[Any]], dtype: Any) -> npt.NDArray[Any]:
+    """The values of all frames, whose rows are the last axis; empty without frames."""
+    if not parts:
+        return np.zeros(0, dtype)
+    return np.concatenate(parts, axis=-1, dtype=dtype, casting="unsafe")
 
 
 def rounded_batch(batch: pa.RecordBatch, columns: Sequence[ResultColumn]) -> pa.RecordBatch:

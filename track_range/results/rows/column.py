@@ -1,15 +1,16 @@
 """ResultColumn: declaration of a column of the rows of a run."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from operator import attrgetter
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.frame_result import FrameResult
 
 ColumnKind = Literal["number", "whole", "flag", "name"]
@@ -84,14 +85,45 @@ class ResultColumn:
             return values
         return np.round(values.astype(np.float64), self.decimals)
 
-    def text(self, result: FrameResult) -> list[str]:
-        """Values of a frame as text for tracks.csv; empty = not measured."""
-        values = self.read(result).tolist()
+    @property
+    def cell(self) -> str:
+        """Format of a value in tracks.csv, of a name as text."""
         if self.kind == "name":
-            return ["" if math.isnan(value) else self.names[int(value)] for value in values]
-        if self.kind == "number":
-            return ["" if math.isnan(value) else f"{value:.{self.decimals}f}" for value in values]
-        return list(map(str, map(int, values)))
+            return "%s"
+        return f"%.{self.decimals}f" if self.kind == "number" else "%d"
+
+
+class FrameValues(NamedTuple):
+    """Values of the rows of the N tracks of one frame, not rounded, in arrays of their own."""
+
+    numbers: FloatArray  # (K, N) of the K columns of numbers, in their order; NaN = not measured
+    others: list[npt.NDArray[Any]]  # (N,) of each other column; a name is its index, NaN = unknown
+
+
+class RowReader:
+    """Reads all columns of a frame, in one array for those of numbers: there are about a hundred."""
+
+    def __init__(self, columns: Sequence[ResultColumn]) -> None:
+        self.columns = columns
+        self._numbers = [_reader(one.place) for one in columns if one.kind == "number"]
+        self._others = [_reader(one.place) for one in columns if one.kind != "number"]
+
+    def read(self, result: FrameResult) -> FrameValues:
+        """The values of the rows of a frame."""
+        n_tracks = len(result.tracks)
+        unknown = np.full(n_tracks, math.nan)
+
+        def values(reader: Callable[[FrameResult], Any]) -> npt.NDArray[Any]:
+            value = reader(result)
+            if isinstance(value, np.ndarray):
+                return value
+            return unknown if value is None else np.full(n_tracks, value)
+
+        numbers = np.concatenate([values(reader) for reader in self._numbers], dtype=np.float64)
+        return FrameValues(
+            numbers.reshape(len(self._numbers), n_tracks),
+            [values(reader).copy() for reader in self._others],
+        )
 
 
 @cache  # of few places, for each frame of a run

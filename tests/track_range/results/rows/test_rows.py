@@ -16,7 +16,7 @@ from track_range.ranging.registry import METHODS, register
 from track_range.results.folder import read_run_rows
 from track_range.results.replay import PARTS, frames_of_rows
 from track_range.results.rows import columns
-from track_range.results.rows.column import ResultColumn
+from track_range.results.rows.column import ResultColumn, RowReader
 from track_range.results.rows.rows import Rows
 from track_range.results.table import RunTable
 
@@ -53,6 +53,31 @@ def test_method_whose_columns_have_the_names_of_others_is_refused(name):
         register(replace(imported(METHODS.built_in["mono"]), name=name, letter="~"))
         with pytest.raises(MethodError, match=f"method {name}: .*{name}_m"):
             columns.result_columns()
+
+
+def test_a_frame_is_read_at_once_as_column_by_column():
+    frame, declared = result(3), columns.result_columns()
+    values = RowReader(declared).read(frame)
+    numbers = [column for column in declared if column.kind == "number"]
+    others = [column for column in declared if column.kind != "number"]
+    for row, column in zip(values.numbers, numbers, strict=True):
+        np.testing.assert_array_equal(row, column.read(frame), err_msg=column.name)
+    for row, column in zip(values.others, others, strict=True):
+        np.testing.assert_array_equal(row, column.read(frame), err_msg=column.name)
+
+
+def test_values_of_a_frame_are_copies():
+    frame = result(3)
+    values = RowReader(columns.result_columns()).read(frame)
+    arrays = [frame.tracks.xyxy_px, frame.tracks.score, frame.tracks.track_id]
+    read = [values.numbers, *values.others]
+    assert not any(np.shares_memory(array, one) for array in arrays for one in read)
+
+
+def test_names_do_not_look_like_numbers_that_are_unknown():
+    assert not [
+        name for column in columns.result_columns() for name in column.names if "nan" in name
+    ]
 
 
 def test_unknown_names_of_tables_are_empty():
