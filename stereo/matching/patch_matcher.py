@@ -181,11 +181,10 @@ def _sigma_of_none(
     return np.where(none > _OUTSIDE, np.maximum(radius_px, 0.0) / 2, 0.0)
 
 
-def _others(known: KnownBoxes, matches: PatchMatches, size_px: FloatArray) -> OtherBoxes:
-    """All boxes with their disparities as measured so far, else of their tracks, else by size."""
-    expected_px = np.where(np.isfinite(known.track_px), known.track_px, size_px)
+def _others(xyxy_px: FloatArray, matches: PatchMatches, size_px: FloatArray) -> OtherBoxes:
+    """All boxes with their disparities as measured so far, else by size."""
     is_measured = np.isfinite(matches.disparity_px)
-    return OtherBoxes(known.xyxy_px, np.where(is_measured, matches.disparity_px, expected_px))
+    return OtherBoxes(xyxy_px, np.where(is_measured, matches.disparity_px, size_px))
 
 
 class PatchMatcher:
@@ -219,25 +218,33 @@ class PatchMatcher:
         track_px = self._in_range(prior_px, limit_px)
         expected = by_size or ExpectedDisparity.unknown(n)
         size_px = self._in_range(expected.disparity_px, limit_px)
-        known = KnownBoxes(boxes, track_px, expected, limit_px, OtherBoxes(boxes, size_px))
-        no_track = known._replace(track_px=np.full(n, np.nan))
-        is_usable = outcome == Outcome.MATCHED
+        others = OtherBoxes(boxes, np.where(np.isfinite(track_px), track_px, size_px))
+        known = KnownBoxes(boxes, track_px, expected, limit_px, others)
+        no_match = outcome == Outcome.MATCHED
         images, search_px = (left, right), self._settings.search_px
+        rows = np.flatnonzero(no_match & np.isfinite(track_px))
+        if len(rows):
+            matches.put(
+                rows, self._measured_near(*images, known.select(rows), track_px[rows], search_px)
+            )
+            no_match &= np.isnan(matches.disparity_px)
+        if not no_match.any():
+            return matches
+        no_track = known._replace(track_px=np.full(n, np.nan))
         # Boxes that nearer ones cover come last: their occluders then have disparities.
         is_behind = are_behind(boxes)
-        for part, centre_px, reach_px, is_part in (
-            (known, track_px, search_px, np.ones(n, np.bool_)),
-            (no_track, size_px, self._settings.size_search_px, ~is_behind),
-            (no_track, size_px, self._settings.size_search_px, is_behind),
-        ):
-            rows = np.flatnonzero(
-                is_usable & is_part & np.isnan(matches.disparity_px) & np.isfinite(centre_px)
-            )
+        for is_part in (~is_behind, is_behind):
+            rows = np.flatnonzero(no_match & is_part & np.isfinite(size_px))
             if len(rows):
-                seen = part._replace(others=_others(part, matches, size_px)).select(rows)
-                matches.put(rows, self._measured_near(*images, seen, centre_px[rows], reach_px))
-        no_track = no_track._replace(others=_others(no_track, matches, size_px))
-        rows = np.flatnonzero(is_usable & np.isnan(matches.disparity_px))
+                seen = no_track._replace(others=_others(boxes, matches, size_px)).select(rows)
+                matches.put(
+                    rows,
+                    self._measured_near(
+                        *images, seen, size_px[rows], self._settings.size_search_px
+                    ),
+                )
+        no_track = no_track._replace(others=_others(boxes, matches, size_px))
+        rows = np.flatnonzero(no_match & np.isnan(matches.disparity_px))
         if len(rows):
             coarse = self._full_range(*images, no_track.select(rows))
             matches.put(rows, coarse)
@@ -372,10 +379,18 @@ class PatchMatcher:
         """
         settings, tiles, cost, choice = self._settings, search.tiles, search.cost, search.choice
         confidence = match_confidence(cost, surface, tiles)
-        n_used = np.maximum(tiles.is_used.sum(axis=1), 1)
-        minima_fraction = ((search.matches.slope > 0) & tiles.is_used).sum(axis=1) / n_used
-        seen_fraction = (np.isfinite(cost).any(axis=0).T & tiles.is_used).sum(axis=1) / n_used
-        support = np.isfinite(surface.residual).sum(axis=1) / n_used
+        is_used = tiles.is_used
+        counts = np.array(
+            [
+                is_used,
+                (search.matches.slope > 0) & is_used,
+                np.isfinite(cost).any(axis=0).T & is_used,
+                np.isfinite(surface.residual),
+                surface.is_confirmed,
+            ]
+        ).sum(axis=2)
+        n_used = np.maximum(counts[0], 1)
+        minima_fraction, seen_fraction, support, confirmed_fraction = counts[1:] / n_used
         rows = np.arange(len(n_used))
         probability = choice.probability[choice.chosen, rows]
 
@@ -392,9 +407,7 @@ class PatchMatcher:
         cost_limit = settings.max_cost_bits + np.where(is_expected, _EXPECTED_COST_BITS, 0.0)
 
         is_elsewhere = minima_fraction < settings.min_minima_fraction * seen_fraction
-        is_elsewhere |= (
-            surface.is_confirmed.sum(axis=1) / n_used < settings.min_confirmed_fraction * support
-        )
+        is_elsewhere |= confirmed_fraction < settings.min_confirmed_fraction * support
         is_elsewhere &= ~is_expected & (tiles.shape == FINE)
         is_misfit = (
             np.isfinite(confidence.cost)

@@ -36,6 +36,18 @@ from track_range.stereo.matching.surfaces import (
 from track_range.stereo.matching.tiles import MARGIN_PX, BoxTiles, Grey, window_sums
 
 _N_FIT_ITERATIONS = (2, 3)  # of the surface, for each iteration of the least squares on grey values
+# Rows of products in the sums over windows, and of their factors. The sums are those of
+# `_Equations.values` and of r, r r, g r, r l and h r; the covariances <l, l>, <g, g>, <g, l>,
+# <r, r>, <g, r>, <r, l>, <h, l>, <g, h>, <h, h> and <h, r>.
+_COVARIANCES = np.array(
+    [
+        [2, 3, 4, 10, 11, 12, 6, 7, 8, 13],
+        [0, 1, 1, 9, 1, 9, 5, 1, 5, 5],
+        [0, 1, 0, 9, 9, 0, 0, 5, 5, 9],
+    ]
+)
+# the first six without the sums of h
+_SOME_COVARIANCES = np.array([[2, 3, 4, 6, 7, 8], [0, 1, 1, 5, 1, 5], [0, 1, 0, 5, 5, 0]])
 _STEP = 3  # the first iterations use every third column
 _MAX_STEP_PX = 0.75  # largest |s| of a confirmed window, px of the tile
 # smallest gain a, and 1 / a, of a confirmed window: below, the pixels hardly resemble each other
@@ -75,10 +87,9 @@ def refine_surface(
 
     `is_member` (N, G) are the windows of the surface, `plane` is the plane through them.
     """
-    u, v = tiles.u, tiles.v
     disparity = np.maximum(tiles.first + plane.p[:, 0], 0.1)
     floor = _FLOOR_PX**2 + (_FLOOR_FRACTION * disparity[:, None]) ** 2
-    central, terms = centre_weights(u, v), surface_terms(u, v)
+    central, terms = centre_weights(tiles.u, tiles.v), surface_terms(tiles.u, tiles.v)
     equations, fit = _Equations.of(tiles), plane
     last = tiles.n_disparities - 2.0
     for iteration, n_iterations in enumerate(_N_FIT_ITERATIONS):
@@ -92,7 +103,8 @@ def refine_surface(
             if step.vertical is None
             else step.s - _vertical_offset_fraction(step.vertical, is_confirmed)
         )
-        refined = np.where(is_confirmed, np.minimum(np.maximum(fit.at(u, v), 1.0), last) - s, index)
+        at_windows = np.minimum(np.maximum(fit.at_terms(terms), 1.0), last)
+        refined = np.where(is_confirmed, at_windows - s, index)
         variance = np.where(is_confirmed, step.variance, _UNCONFIRMED_SIGMA_PX**2) + floor
         weight = np.where(is_member, 1.0 / variance, 0.0)
         fit = fit_surfaces(
@@ -103,7 +115,7 @@ def refine_surface(
             is_curved=True,
             n_iterations=n_iterations,
         )
-    residual = np.where(is_member, refined - fit.at(u, v), np.nan)
+    residual = np.where(is_member, refined - fit.at_terms(terms), np.nan)
     return RefinedSurface(fit, residual, weight, is_confirmed)
 
 
@@ -214,14 +226,11 @@ class _Equations(NamedTuple):
         np.square(r, out=products[1])
         for product, factor in zip(products[2:], (g, l, h), strict=False):
             np.multiply(r, factor, out=product)
-        sum_l, sum_g, sum_ll, sum_gg, sum_gl = self.sums[:5] if is_last else self.some_sums
-        sum_r, sum_rr, sum_gr, sum_rl, *sum_hr = _by_window(products, self.tiles, step)
-        ll = sum_ll - sum_l * sum_l / n
-        gg = sum_gg - sum_g * sum_g / n
-        rr = sum_rr - sum_r * sum_r / n
-        gl = sum_gl - sum_g * sum_l / n
-        gr = sum_gr - sum_g * sum_r / n
-        rl = sum_rl - sum_r * sum_l / n
+        sums = np.concatenate(
+            [self.sums if is_last else self.some_sums, _by_window(products, self.tiles, step)]
+        )
+        product, factor, other = _COVARIANCES if is_last else _SOME_COVARIANCES
+        ll, gg, gl, rr, gr, rl, *of_h = sums[product] - sums[factor] * sums[other] / n
         determinant = gg * rr - gr**2 + 1e-3
         s = (gl * rr - rl * gr) / determinant
         a = (rl * gg - gl * gr) / determinant
@@ -231,11 +240,7 @@ class _Equations(NamedTuple):
         noise = _NOISE_CORRELATION / step * (residual + _MIN_NOISE_GREY2)
         vertical = None
         if is_last:
-            sum_h, sum_hl, sum_gh, sum_hh = self.sums[5:]
-            hh = sum_hh - sum_h * sum_h / n
-            gh = sum_gh - sum_g * sum_h / n
-            hl = sum_hl - sum_h * sum_l / n
-            hr = sum_hr[0] - sum_h * sum_r / n
+            hl, gh, hh, hr = of_h
             fraction = gh / np.maximum(gg, 1e-3)
             vertical = _Vertical(
                 fraction, (hl - s * gh - a * hr) / noise, (hh - fraction * gh) / noise

@@ -73,12 +73,16 @@ class SurfaceFit:
             p[..., 0] + u * (p[..., 1] + p[..., 3] * u) + v * (p[..., 2] + p[..., 4] * v)
         )
 
+    def at_terms(self, terms: FloatArray) -> FloatArray:
+        """(..., N, G) disparities at the positions of terms (N, 5, G) of `surface_terms`."""
+        return np.asarray((self.p[..., None, :] @ terms)[..., 0, :])
+
 
 def surface_terms(u: FloatArray, v: FloatArray) -> FloatArray:
-    """(N, G, 5) rows of A, the terms 1, u, v, u^2 and v^2, at positions u and v, (N, G) each."""
-    terms = np.ones((*u.shape, 5))
-    terms[..., 1], terms[..., 2] = u, v
-    np.square(terms[..., 1:3], out=terms[..., 3:])
+    """(N, 5, G) columns of A, the terms 1, u, v, u^2 and v^2, at positions u and v, (N, G) each."""
+    terms = np.ones((len(u), 5, u.shape[1]))
+    terms[:, 1], terms[:, 2] = u, v
+    np.square(terms[:, 1:3], out=terms[:, 3:])
     return terms
 
 
@@ -98,14 +102,14 @@ def fit_surfaces(
     Each iteration solves (A^T W A + ridge) p = A^T W d with the rows (1, u, v, u^2, v^2) of A.
 
     `index` (N, G) is relative to any disparity of the box, such as index 0 of the costs; `weight`
-    is 1 / variance of the windows, `terms` (N, G, 5) A, and `disparity` (..., N) the box's
+    is 1 / variance of the windows, `terms` (N, 5, G) A^T, and `disparity` (..., N) the box's
     disparity, px of the tile, for the scale of residuals and curvature. Without `is_curved`, a
     plane is fitted. `start` are surfaces near the result, from whose residuals W follows first.
     """
     n_parameters = 5 if is_curved else 3
-    a, d = np.ascontiguousarray(terms[..., :n_parameters]), index[..., None]
-    a_and_d = np.concatenate([a, d], axis=2)
-    transposed = np.ascontiguousarray(a.swapaxes(1, 2))
+    transposed = terms[:, :n_parameters]
+    a_and_d = np.concatenate([transposed, index[:, None]], axis=1).swapaxes(1, 2)
+    a = a_and_d[..., :-1]
     ridge = np.zeros((*weight.shape[:-1], n_parameters, n_parameters))
     ridge[..., 0, 0] = _SMALLEST_RIDGE
     ridge[..., 1, 1] = ridge[..., 2, 2] = _RIDGE * weight.sum(axis=-1) + _SMALLEST_RIDGE
@@ -115,7 +119,7 @@ def fit_surfaces(
     w, p = weight, np.zeros(0) if start is None else start.p[..., :n_parameters, None]
     for iteration in range(n_iterations):
         if start is not None or iteration:
-            r = np.abs(d - a @ p)[..., 0] * inverse_f
+            r = np.abs(index - (a @ p)[..., 0]) * inverse_f
             w = weight / (np.maximum(r, 1.0) * (1.0 + np.square(r * (1.0 / _BOUND_FLOORS))))
         equations = (transposed * w[..., None, :]) @ a_and_d  # A^T W A, and A^T W d beside it
         p = np.linalg.solve(equations[..., :-1] + ridge, equations[..., -1:])
@@ -201,7 +205,7 @@ def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles) -> Sur
         if is_few.any():  # these have no tilt
             plane.p[is_few] = 0.0
             plane.p[is_few, 0] = best_index[is_few, 0]
-        on_plane = (free > 0) & (np.abs(index - plane.at(u, v)) <= _ON_PLANE * limit)
+        on_plane = (free > 0) & (np.abs(index - plane.at_terms(terms)) <= _ON_PLANE * limit)
         is_plane = on_plane.sum(axis=-1) >= _MIN_ON_PLANE * n_windows
         return np.where(is_plane[..., None], on_plane, is_member), plane
 
