@@ -220,7 +220,7 @@ def _resampled(left: Image, right: ImageView, edges: FloatArray, tile_hw: tuple[
         else:
             tile, strip = grey(tile), grey(strip)
         # One call resamples both: their widths are whole pixels of the image and of the tile.
-        both[i] = _shrunk(cv2.hconcat((tile, strip)), tile_hw)
+        both[i] = _shrunk(np.asarray(cv2.hconcat((tile, strip)), np.uint8), tile_hw)
     columns = cv2.transpose(both.reshape(-1, tile_hw[1]))
     return np.asarray(columns, np.uint8).reshape(-1, n, tile_hw[0])
 
@@ -235,10 +235,11 @@ def _shrunk(grey: Image, hw: tuple[int, int]) -> Image:
     while grey.shape[0] > 2 * height or grey.shape[1] > 2 * width:
         half_width = grey.shape[1] // (2 if grey.shape[1] >= 2 * width else 1)
         half_height = grey.shape[0] // (2 if grey.shape[0] >= 2 * height else 1)
-        grey = cv2.resize(grey, (half_width, half_height), interpolation=cv2.INTER_LINEAR)
+        halved = cv2.resize(grey, (half_width, half_height), interpolation=cv2.INTER_LINEAR)
+        grey = np.asarray(halved, np.uint8)
     if grey.shape == hw:
         return grey
-    return cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _padded_grey(image: Image, border: tuple[int, int, int, int]) -> Grey:
