@@ -31,7 +31,7 @@ import numpy as np
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import BoolArray, FloatArray
-from track_range.foundation.robust_statistics import median_of
+from track_range.foundation.robust_statistics import median_of, quantile_of
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.method import (
@@ -262,7 +262,7 @@ class LaneWidthRanger(Ranger):
             is_no_lane = deviation**2 > _MAX_DEVIATION**2 * total
             if len(z) >= _MIN_TRACKS:
                 scatter = np.abs(z - median_of(z)) / np.sqrt(variance)
-                is_no_lane |= _quantile(scatter, _MOST_TRACKS) > _MAX_SCATTER
+                is_no_lane |= quantile_of(scatter, _MOST_TRACKS) > _MAX_SCATTER
             sigma = np.where(is_no_lane, np.inf, sigma)
         self.lane = LaneWidth(float(np.exp(log_width[-1])), float(sigma[-1]))
         return log_width[:-1], sigma[:-1]
@@ -326,15 +326,6 @@ class LaneWidthRanger(Ranger):
             tracks.xyxy_px, tracks.class_id, has_visible_boxes=self._has_visible_boxes
         )
         return _Widths(w, np.hypot(sigma_px / divisor, _ROAD_SIGMA), is_valid, offset_m)
-
-
-def _quantile(values: FloatArray, level: float) -> float:
-    """The quantile of (N,) values without NaN, as `np.quantile`, which takes 20 times as long."""
-    ordered = np.sort(values).tolist()
-    below, fraction = divmod(level * (len(ordered) - 1), 1.0)
-    first = int(below)
-    last = min(first + 1, len(ordered) - 1)
-    return float(ordered[first] + fraction * (ordered[last] - ordered[first]))
 
 
 def inflated_by_disagreement(ranges: Ranges, others: Sequence[Ranges]) -> Ranges:

@@ -256,7 +256,7 @@ def _aligned(
     n, P = len(rows), _GRID**2
     half_px, centre_px, s, t = key.half_px.T, key.centre_px.T, key.scale.T, shift_px
     T, step_px = key.template.T.astype(np.float32), 2 * half_px / (_GRID - 1)
-    T_x, T_y = _slopes(T)
+    T_x, T_y = template_slopes(T)
     contrast = T - np.add.reduce(T, axis=1, keepdims=True) / P
     # t in points, s in half extents
     A = np.empty((n, 6, P), np.float32)
@@ -311,7 +311,7 @@ def _aligned(
     return t, s, covariance, is_good
 
 
-def _slopes(template: FloatArray32) -> tuple[FloatArray32, FloatArray32]:
+def template_slopes(template: FloatArray32) -> tuple[FloatArray32, FloatArray32]:
     """(N, P) slopes of templates (N, P) per point to the right and down: central differences, and
     one-sided ones at the edges.
     """

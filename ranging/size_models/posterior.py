@@ -98,7 +98,7 @@ def mixture_by_size(
     terms = _all_terms(tables, boxes, body, log_fraction)
     n, m, n_yaws = terms.log_weight.shape
     n_all = m * n_yaws
-    best = _columns_of_largest(terms.log_weight.reshape(n, n_all), N_TERMS)
+    best = columns_of_largest(terms.log_weight.reshape(n, n_all), N_TERMS)
     # (N, T) places of the most likely Gaussians in arrays (N, M, K), and in arrays (N, M)
     term = best + np.arange(0, n * n_all, n_all)[:, None]
     pair = term // n_yaws
@@ -127,7 +127,7 @@ def mixture_by_size(
     )
 
 
-def _columns_of_largest(values: Floats32, n_largest: int) -> IntArray:
+def columns_of_largest(values: Floats32, n_largest: int) -> IntArray:
     """(N, L) columns of the largest values (N, K) of each row, in ascending order; values that agree
     in 23 bits less those of the number of a column count as equal.
 

@@ -346,3 +346,20 @@ def test_tyres_of_a_detected_car_are_behind_its_bumper():
     assert surface_offset_m(side[1:], np.array([PERSON]), has_visible_boxes=True) == pytest.approx(
         [0.05]
     )
+
+
+def test_distances_with_and_without_the_other_objects_at_once():
+    """As one after the other, also after a track has left and the lane lines have decayed."""
+    planes = [GroundPlane(CAMERA, SMOOTH) for _ in range(2)]
+    for k, distance_m in enumerate(([12.0, 20.0, 30.0], [12.0, 20.0], [])):
+        tracks, by_size = cars_at(np.array(distance_m), size_error=-0.1)
+        for plane in planes:
+            plane.update_road(road_view(curvature_per_m=1e-4), bias_sigma=0.06)
+        alone = planes[0].measure_alone(tracks, at(0.1 * k))
+        of_all = planes[0].measure(tracks, by_size, at(0.1 * k))
+        both = planes[1].measure_both(tracks, by_size, at(0.1 * k))
+        for ranges, expected in zip(both, (of_all, alone), strict=True):
+            np.testing.assert_allclose(ranges.distance_m, expected.distance_m, rtol=1e-12)
+            np.testing.assert_allclose(ranges.sigma_m, expected.sigma_m, rtol=1e-12)
+            assert not ranges.is_fallback
+    assert planes[0].horizon == planes[1].horizon

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tests.ranging.patch_scenes import SIZE_PX, scene, texture, tracks
-from track_range.ranging.methods.patch_scale import PatchScales
+from track_range.ranging.methods.patch_scale import PatchScales, template_slopes
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks
 
@@ -111,3 +111,25 @@ def test_images_and_boxes_without_a_patch():
             assert len(scales.measure(Tracks.empty(), image, time_s).sigma) == 0
         for time_s in (0.2, 0.3):
             assert np.isnan(scales.measure(outside, image, time_s).log_ratio).all()
+
+
+def test_slopes_of_a_template_are_those_of_numpy():
+    template = np.random.default_rng(0).random((3, 20, 20), np.float32)
+    down, across = np.gradient(template, axis=(1, 2))
+    slopes = template_slopes(template.reshape(3, -1))
+    np.testing.assert_array_equal(slopes[0].reshape(template.shape), across)
+    np.testing.assert_array_equal(slopes[1].reshape(template.shape), down)
+
+
+def test_an_image_is_not_read_without_a_patch_that_is_due():
+    """Its patches were measured 0.05 s before, or the boxes are predicted or small."""
+    scales, middle = PatchScales(CAMERA), np.array([[320.0, 180.0]])
+    image = scene([(texture(0), middle[0], SIZE_PX)], seed=0)
+    seen = tracks(middle, SIZE_PX, noise_px=0.0, seed=0)
+    scales.measure(seen, image, 0.0)
+    predicted = Tracks(seen.track_id, seen.xyxy_px, seen.class_id, seen.score, ~seen.observed)
+    for boxes, time_s in ((seen, 0.05), (predicted, 0.1), (Tracks.empty(), 0.1)):
+        growth = scales.measure(boxes, None, time_s)
+        assert np.isnan(growth.log_ratio).all()
+        assert not growth.is_key.any()
+    assert np.isfinite(scales.measure(seen, image, 0.1).log_ratio).all()

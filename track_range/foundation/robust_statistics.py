@@ -22,6 +22,17 @@ def median_of(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return np.asarray((ordered[..., middle - 1] + ordered[..., middle]) / 2)
 
 
+def quantile_of(values: FloatArray, level: float) -> float:
+    """Quantile of (N,) values, N >= 1, without NaN, at a level of 0 to 1, as `np.quantile`, which
+    takes 20 times as long.
+    """
+    ordered = np.sort(values).tolist()
+    below, fraction = divmod(level * (len(ordered) - 1), 1.0)
+    first = int(below)
+    last = min(first + 1, len(ordered) - 1)
+    return float(ordered[first] + fraction * (ordered[last] - ordered[first]))
+
+
 def mad_sigma(values: FloatArray) -> float:
     """Standard deviation of (N,) values, N >= 1, without NaN, estimated from their median absolute
     deviation about their median.

@@ -9,6 +9,7 @@ from track_range.foundation.robust_statistics import (
     jackknife_sigma,
     mad_sigma,
     median_of,
+    quantile_of,
     weighted_median,
 )
 
@@ -31,6 +32,13 @@ def test_median_equals_that_of_numpy(shape: tuple[int, ...], dtype: type) -> Non
     expected = np.median(values, axis=-1)
     np.testing.assert_array_equal(median_of(values), expected)
     assert median_of(values).dtype == expected.dtype
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 12])
+@pytest.mark.parametrize("level", [0.0, 0.3, 0.8, 1.0])
+def test_quantile_equals_that_of_numpy(n: int, level: float) -> None:
+    values = np.random.default_rng(n).normal(size=n)
+    assert quantile_of(values, level) == pytest.approx(np.quantile(values, level), rel=1e-12)
 
 
 def test_weighted_median_with_equal_weights() -> None:
