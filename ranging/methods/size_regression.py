@@ -54,7 +54,7 @@ def incomplete_sigma(xyxy_px: FloatArray, is_cut: BoolArray) -> FloatArray:
     Boxes of the frame (N, 4) that end lower in the image are nearer; `is_cut` (N,) is whether the
     left or right side is at the border of the image.
     """
-    cut_sigma = _CUT_SIGMA * is_cut
+    cut_sigma = np.asarray(_CUT_SIGMA * is_cut, np.float64)
     if len(xyxy_px) < 2:
         return cut_sigma
     bottom_px = xyxy_px[:, 3]
@@ -62,7 +62,7 @@ def incomplete_sigma(xyxy_px: FloatArray, is_cut: BoolArray) -> FloatArray:
     covered_px2 *= bottom_px > bottom_px[:, None]
     covered = np.maximum.reduce(covered_px2, axis=1)
     covered /= np.maximum(area_px2(xyxy_px), _MIN_AREA_PX2)
-    return np.hypot(cut_sigma, _COVERED_SIGMA * covered)
+    return np.asarray(np.hypot(cut_sigma, _COVERED_SIGMA * covered))
 
 
 class SizeRanger(Ranger):

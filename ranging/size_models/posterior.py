@@ -138,7 +138,7 @@ def columns_of_largest(values: Floats32, n_largest: int) -> IntArray:
     mask = (1 << (n_columns - 1).bit_length()) - 1
     numbered = (values.view(np.int32) & ~mask) | np.arange(n_columns, dtype=np.int32)
     largest = np.sort(numbered.view(np.float32), axis=1)[:, max(n_columns - n_largest, 0) :]
-    return (largest.view(np.int32) & mask).astype(np.int64)
+    return np.asarray(largest.view(np.int32) & mask, np.int64)
 
 
 def log_evidence(

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from track_range.foundation.arrays import FloatArray, FloatArray32, Image
+from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntArray
 from track_range.foundation.robust_statistics import MAD_TO_SIGMA, median_of
 from track_range.foundation.sparse_flow import small_grey, tracked_corners
 from track_range.foundation.track_state import TrackState
@@ -209,21 +209,21 @@ def _corners_of_tracks(before: _Picture, now: Tracks) -> list[tuple[int, FloatAr
     ]
 
 
-def _inner_boxes_px(picture: _Picture) -> list[list[int]]:
-    """First column and row and those behind the last of the inner part of each box, in pixels of
-    the image.
+def _inner_boxes_px(picture: _Picture) -> IntArray:
+    """(N, 4) first column and row of the inner part of each box, and those behind its last, in pixels
+    of the image.
     """
     low_px, high_px = picture.tracks.xyxy_px[:, :2], picture.tracks.xyxy_px[:, 2:]
     margin = _INNER * (high_px - low_px)
     factor, (height, width) = 1 << picture.n_halved, picture.image.shape
     first = np.maximum(np.ceil((low_px + margin) / factor), 0)
     behind = np.minimum(np.floor((high_px - margin) / factor) + 1, [width, height])
-    return np.concatenate([first, behind], axis=1).astype(int).tolist()
+    return np.asarray(np.concatenate([first, behind], axis=1), np.int64)
 
 
-def _corners_in(image: Image, inner_px: list[int]) -> FloatArray32:
+def _corners_in(image: Image, inner_px: IntArray) -> FloatArray32:
     """(K, 2) corners in the inner part of a box in the image."""
-    x1, y1, x2, y2 = inner_px
+    x1, y1, x2, y2 = inner_px.tolist()
     if min(x2 - x1, y2 - y1) < _MIN_SIDE_PX:
         return np.zeros((0, 2), np.float32)
     corners = cv2.goodFeaturesToTrack(

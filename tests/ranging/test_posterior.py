@@ -1,10 +1,12 @@
 """The Gaussians of log distance by size, against the equations in double precision."""
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
 
+from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.posterior import (
     N_TERMS,
@@ -14,7 +16,7 @@ from track_range.ranging.size_models.posterior import (
 from track_range.ranging.size_models.prior import ShapeTables
 from track_range.ranging.size_models.size_model import BoxExtents
 
-PRIORS = load_curves().priors
+PRIORS = cast(CuboidSizes, load_curves()).priors
 TABLES = ShapeTables({name: PRIORS[name] for name in ("person", "van")})
 VANS = np.flatnonzero(np.array(TABLES.class_name) == "van")
 

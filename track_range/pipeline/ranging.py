@@ -112,12 +112,7 @@ class RangingStage:
             }
             with clock.stage(name):
                 try:
-                    if ego.road is not None:
-                        ranger.update_road(ego.road)
-                    if ego.step is not None:
-                        ranger.update_motion(ego.step)
-                    if lanes is not None and lanes is not self._lanes:
-                        ranger.update_lanes(lanes)
+                    self._update(ranger, ego, lanes)
                     measured = ranger.measure_at_scale(tracks, frame, others, scale)
                 except Exception:  # a context around every measurement would take 4 us
                     with _named(name, ranger, f", frame {frame.index}"):
@@ -140,6 +135,15 @@ class RangingStage:
             self._disparity(),
             scale.rig,
         )
+
+    def _update(self, ranger: Ranger, ego: Ego, lanes: LaneLines | None) -> None:
+        """Tell a method what the image shows of the road, the motion of the camera and the lane."""
+        if ego.road is not None:
+            ranger.update_road(ego.road)
+        if ego.step is not None:
+            ranger.update_motion(ego.step)
+        if lanes is not None and lanes is not self._lanes:
+            ranger.update_lanes(lanes)
 
     def skip(self, tracks: Tracks, frame: Frame) -> FrameRanges:
         """No distances of the tracks: the image of the frame, which was started, shows nothing of
