@@ -52,7 +52,7 @@ from track_range.ranging.methods.method import (
     Ranger,
     RangingMethod,
 )
-from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
+from track_range.ranging.size_models.drive_scale import NO_EVIDENCE, DriveScale, ScaleEvidence
 from track_range.ranging.size_models.size_model import BORDER_PX, SIZE_CLASSES, surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
@@ -541,7 +541,7 @@ class GroundRanger(Ranger):
         """Distances of the objects on the ground (`GroundPlane.measure`); mono's distances update
         the horizon.
         """
-        return self.measure_at_scale(tracks, frame, others, DriveScale()).ranges
+        return self.measure_at_scale(tracks, frame, others, NO_EVIDENCE).ranges
 
     def measure_at_scale(
         self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale

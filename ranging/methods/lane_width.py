@@ -41,7 +41,7 @@ from track_range.ranging.methods.method import (
     Ranger,
     RangingMethod,
 )
-from track_range.ranging.size_models.drive_scale import DriveScale
+from track_range.ranging.size_models.drive_scale import NO_EVIDENCE, DriveScale
 from track_range.ranging.size_models.region import Region
 from track_range.ranging.size_models.size_model import BORDER_PX, surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -177,7 +177,7 @@ class LaneWidthRanger(Ranger):
 
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
         """See `measure_at_scale`; without a measured scale of the drive."""
-        return self.measure_at_scale(tracks, frame, others, DriveScale()).ranges
+        return self.measure_at_scale(tracks, frame, others, NO_EVIDENCE).ranges
 
     def measure_at_scale(
         self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale

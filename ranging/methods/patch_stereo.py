@@ -20,7 +20,7 @@ from track_range.ranging.methods.triangulation import (
     Triangulation,
     disparities_by_size,
 )
-from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
+from track_range.ranging.size_models.drive_scale import NO_EVIDENCE, DriveScale, ScaleEvidence
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
@@ -90,7 +90,7 @@ class StereoRanger(Ranger):
 
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
         """See `measure`; mono's distances help to separate an object from what occludes it."""
-        return self.measure_at_scale(tracks, frame, others, DriveScale()).ranges
+        return self.measure_at_scale(tracks, frame, others, NO_EVIDENCE).ranges
 
     def measure_at_scale(
         self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale

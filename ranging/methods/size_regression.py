@@ -19,7 +19,7 @@ from track_range.ranging.methods.method import (
     RangingMethod,
 )
 from track_range.ranging.size_models.curve import load_curves
-from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
+from track_range.ranging.size_models.drive_scale import NO_EVIDENCE, DriveScale, ScaleEvidence
 from track_range.ranging.size_models.size_model import (
     BORDER_PX,
     BoxNoise,
@@ -118,7 +118,7 @@ class SizeRanger(Ranger):
         """Distances by size; NaN for predicted boxes, boxes truncated at top or bottom, and classes
         without a model.
         """
-        return self.measure_at_scale(tracks, frame, {}, DriveScale()).ranges
+        return self.measure_at_scale(tracks, frame, {}, NO_EVIDENCE).ranges
 
     def measure_at_scale(
         self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale

@@ -304,6 +304,9 @@ class DriveScale:
         }
 
 
+NO_EVIDENCE = DriveScale()
+
+
 def _averaged(known: _Tracks, frame: _Tracks) -> _Tracks:
     is_new = ~_rows(frame.track_id, known.track_id)[1]
     nothing = np.zeros(len(frame.track_id))

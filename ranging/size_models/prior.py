@@ -146,8 +146,8 @@ class ShapeTables:
         self.class_name = tuple(name for name, *_ in types)  # (B,) class of each body type
         # (B,) probability within the class
         self.fraction = np.array([fraction for _, _, fraction, _ in types])
-        # (10, nodes of all body types, K), so that the values of a node lie side by side
-        self._nodes = np.concatenate([_nodes(prior, sizes) for _, prior, _, sizes in types], axis=1)
+        # (nodes of all body types, 10 K): one look-up reads the values of a node, side by side
+        self._nodes = np.concatenate([_nodes(prior, sizes) for _, prior, _, sizes in types])
         # (B, K) log weights of the yaw bins
         self.log_weight = np.array([_log_weight(prior) for _, prior, _, _ in types], np.float32)
         self.typical = np.array(  # (3, B) log height, and mean and 1 / variance of log distance
@@ -170,7 +170,8 @@ class ShapeTables:
         d = ((log_m - _LOG_M[0]) / _LOG_STEP + 0.5).astype(np.int64)
         bearing_step = np.minimum(bearing - b * _BEARING_STEP, _BEARING_STEP)
         node = (body * len(_BEARINGS) + b[:, None]) * len(_LOG_M) + d
-        v = self._nodes.take(node, axis=1)
+        by_node = self._nodes.take(node.ravel(), axis=0).reshape(*node.shape, _N_NODE_VALUES, -1)
+        v = np.ascontiguousarray(by_node.transpose(2, 0, 1, 3))
         both = v[:4].reshape(2, 2, *v.shape[1:])
         return bearing_step, log_m - _LOG_M[d], Nodes(both, v[4:6], v[6:8], *v[8:])
 
@@ -183,7 +184,7 @@ def shape_tables(priors: tuple[tuple[str, SizePrior], ...]) -> ShapeTables:
 
 @lru_cache(maxsize=4 * len(SIZE_CLASSES))
 def _nodes(prior: SizePrior, sizes: BodySizes) -> Floats32:
-    """(10, bearings x distances, yaw bins) node values of one body type, in single precision;
+    """(bearings x distances, 10 x yaw bins) node values of one body type, in single precision;
     read-only, since equal priors share them.
     """
     bearing, log_m, yaw = (axis.astype(np.float32) for axis in np.ix_(_BEARINGS, _LOG_M, _YAW_RAD))
@@ -220,7 +221,7 @@ def _nodes(prior: SizePrior, sizes: BodySizes) -> Floats32:
     per_log_m, per_bearing = slopes
     rest = np.stack([a, c, b, typical.log_inverse_depth + log_m])
     nodes = np.concatenate([per_log_m, value, per_bearing, rest]).astype(np.float32)
-    nodes = nodes.reshape(_N_NODE_VALUES, -1, len(_YAW_RAD))
+    nodes = nodes.transpose(1, 2, 0, 3).reshape(len(_BEARINGS) * len(_LOG_M), -1)
     nodes.setflags(write=False)
     return nodes
 
