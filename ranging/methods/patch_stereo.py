@@ -80,7 +80,8 @@ class StereoRanger(Ranger):
     @property
     def outcomes(self) -> Counter[Outcome]:
         """Number of boxes so far by outcome: matched, or the reason for the rejection."""
-        return self._matcher.outcomes
+        counts = self._matcher.outcomes.items()
+        return Counter({Outcome(number): count for number, count in counts})
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         """Distances of the boxes that match; NaN where the match is rejected or there is no right

@@ -21,7 +21,6 @@ from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matches import (
     BoxMatcher,
     ExpectedDisparity,
-    Outcome,
     PatchMatches,
 )
 from track_range.tracking.tracks import Tracks
@@ -67,13 +66,9 @@ def disparities_by_size(
     width) `image_hw`.
     """
     height, width = image_hw
-    border_px = (
-        np.array([1.0, 1.0, width - 2.0, height - 2.0])
-        + np.array([1.0, 1.0, -1.0, -1.0]) * _BORDER_PX
-    )
-    is_cut = (xyxy_px[:, :2] < border_px[:2]).any(axis=1) | (xyxy_px[:, 2:] > border_px[2:]).any(
-        axis=1
-    )
+    first_px = np.array([1.0 + _BORDER_PX] * 2 + [-np.inf] * 2)
+    last_px = np.array([np.inf, np.inf, width - 2.0 - _BORDER_PX, height - 2.0 - _BORDER_PX])
+    is_cut = ((xyxy_px < first_px) | (xyxy_px > last_px)).any(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         disparity_px = rig.left.fx_px * rig.baseline_m / by_size.distance_m
         log_sigma = by_size.sigma_m / by_size.distance_m
@@ -95,8 +90,8 @@ class TrackMatcher:
         self._state = TrackState(np.full(3, np.nan))
         """By track: last matched disparity, its time, time of the last search over the full
         range."""
-        # number of boxes so far by outcome: matched, or the reason for the rejection
-        self.outcomes: Counter[Outcome] = Counter()
+        # number of boxes so far by value of `Outcome`: matched, or the reason for the rejection
+        self.outcomes: Counter[int] = Counter()
 
     def match(
         self, tracks: Tracks, frame: Frame, by_size: ExpectedDisparity | None = None
@@ -120,9 +115,9 @@ class TrackMatcher:
             frame.left, frame.right, boxes, prior_px, expected
         )
         disparity_px[rows], sigma_px[rows] = matches.disparity_px, matches.sigma_px
-        self.outcomes.update(map(Outcome, matches.outcome.tolist()))
+        self.outcomes.update(matches.outcome.tolist())
         searched_s = np.where(is_recent, searched_s, time_s)
-        updated = np.stack([matches.disparity_px, np.full(len(rows), time_s), searched_s])
+        updated = np.array([matches.disparity_px, np.full(len(rows), time_s), searched_s])
         self._state.put(
             tracks.track_id[rows],
             np.where(np.isfinite(matches.disparity_px), updated, previous),

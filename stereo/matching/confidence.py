@@ -70,15 +70,20 @@ def _object_curve(cost: FloatArray32, surface: RefinedSurface, tiles: BoxTiles) 
 
     so that a slanted surface also has one minimum.
     """
-    last = len(cost) - 1
+    n_disparities, n_windows, n = cost.shape
     is_object = np.isfinite(surface.residual).T
-    shift = np.rint(surface.fit.at(tiles.u, tiles.v) - surface.fit.p[:, :1]).T.astype(np.int64)
-    k = np.arange(len(cost))[:, None, None] + shift
-    inside = np.minimum(np.maximum(k, 0), last)
-    window = np.arange(shift.size).reshape(shift.shape)
-    # a third of `take_along_axis`'s time
-    shifted = cost.reshape(-1).take(inside * shift.size + window)
-    is_seen = (inside == k) & is_object & np.isfinite(shifted)
+    shift = np.rint(surface.fit.at(tiles.u, tiles.v) - surface.fit.p[:, :1]).T
+    shift = np.where(is_object, np.minimum(np.maximum(shift, -n_disparities), n_disparities), 0.0)
+    reach = int(np.abs(shift).max(initial=0.0))
+    padded = np.full((n_disparities + 2 * reach, n_windows * n), np.nan, np.float32)
+    padded[reach : reach + n_disparities] = cost.reshape(n_disparities, -1)
+    place = (shift.astype(np.int64) + reach).reshape(-1) * (n_windows * n) + np.arange(
+        n_windows * n
+    )
+    k = np.arange(0, cost.size, n_windows * n)[:, None]
+    shifted = padded.reshape(-1).take(k + place).reshape(cost.shape)
+    is_seen = np.isfinite(shifted)
+    is_seen &= is_object
     n_seen = is_seen.sum(axis=1)
     total = np.where(is_seen, shifted, np.float32(0.0)).sum(axis=1)
     is_enough = n_seen >= np.maximum(0.5 * is_object.sum(axis=0), 1)
