@@ -337,7 +337,15 @@ def _covered(
         high_px[:, None] >= xyxy_px[:, :2]
     ).all(axis=2)
     meets &= xyxy_px[rows, 3:] < xyxy_px[:, 3]
-    for i, j in np.argwhere(meets).tolist():
-        first, last = ((xyxy_px[j, k : k + 2] - centre_px[i]) / extent_px[i] for k in (0, 2))
-        is_covered[i] |= (first[0] <= _X) & (last[0] >= _X) & (first[1] <= _Y) & (last[1] >= _Y)
+    patch, box = meets.nonzero()  # (pairs,), by patch
+    if not len(patch):
+        return is_covered
+    centre, extent = centre_px[patch], extent_px[patch]
+    # (pairs, 2, 1) edges of the boxes in half extents of the patches
+    first = ((xyxy_px[box, :2] - centre) / extent)[:, :, None]
+    last = ((xyxy_px[box, 2:] - centre) / extent)[:, :, None]
+    in_columns, in_rows = ((first <= _LINE) & (last >= _LINE)).swapaxes(0, 1)
+    by_box = (in_rows[:, :, None] & in_columns[:, None]).reshape(len(patch), -1)
+    begins = np.flatnonzero(np.diff(patch, prepend=-1))
+    is_covered[patch[begins]] = np.logical_or.reduceat(by_box, begins, axis=0)
     return is_covered
