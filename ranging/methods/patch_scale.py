@@ -332,11 +332,11 @@ def _covered(
     ends lower.
     """
     is_covered = np.zeros((len(rows), _GRID**2), np.bool_)
-    low_px, high_px = centre_px - extent_px, centre_px + extent_px
-    meets = (low_px[:, None] <= xyxy_px[:, 2:]).all(axis=2) & (
-        high_px[:, None] >= xyxy_px[:, :2]
-    ).all(axis=2)
-    meets &= xyxy_px[rows, 3:] < xyxy_px[:, 3]
+    left, top, right, bottom = xyxy_px.T
+    low_px, high_px = (centre_px - extent_px).T[:, :, None], (centre_px + extent_px).T[:, :, None]
+    meets = bottom[rows, None] < bottom
+    meets &= (low_px[0] <= right) & (high_px[0] >= left)
+    meets &= (low_px[1] <= bottom) & (high_px[1] >= top)
     patch, box = meets.nonzero()  # (pairs,), by patch
     if not len(patch):
         return is_covered
@@ -346,6 +346,8 @@ def _covered(
     last = ((xyxy_px[box, 2:] - centre) / extent)[:, :, None]
     in_columns, in_rows = ((first <= _LINE) & (last >= _LINE)).swapaxes(0, 1)
     by_box = (in_rows[:, :, None] & in_columns[:, None]).reshape(len(patch), -1)
-    begins = np.flatnonzero(np.diff(patch, prepend=-1))
-    is_covered[patch[begins]] = np.logical_or.reduceat(by_box, begins, axis=0)
+    is_first = np.ones(len(patch), np.bool_)
+    np.not_equal(patch[1:], patch[:-1], out=is_first[1:])
+    begins = is_first.nonzero()[0]
+    is_covered[patch[begins]] = np.bitwise_or.reduceat(by_box, begins, axis=0)
     return is_covered
