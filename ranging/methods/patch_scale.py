@@ -207,7 +207,7 @@ class PatchScales:
             nearest = np.maximum(np.rint(np.log2(spacing_px)), 0)
             level = np.minimum(nearest, pyramid.n_levels - 1).astype(np.int64)
             template, is_inside = pyramid.sampled(centre_px, half_px, level, _ALL)
-            weight = is_inside & ~_covered(centre_px, half_px, tracks.xyxy_px, new)
+            weight = is_inside & ~covered_points(centre_px, half_px, tracks.xyxy_px, new)
             start = np.array([[0.0, 0.0, 1.0, 1.0]] * len(new))
             times = np.full((len(new), 2), time_s)
             columns = [
@@ -265,7 +265,7 @@ def _aligned(
     limit = np.concatenate([_MAX_STEP * half_px, np.full((n, 2), _MAX_STEP / 3)], axis=1)
     level = key.level.astype(np.int64)
     weight = np.asarray(
-        key.weight.T * ~_covered(centre_px + t, s * half_px, xyxy_px, rows), np.float32
+        key.weight.T * ~covered_points(centre_px + t, s * half_px, xyxy_px, rows), np.float32
     )
     for points, terms, n_steps in (
         (_COARSE, [0, 1, 4, 5], _N_COARSE),
@@ -325,7 +325,7 @@ def template_slopes(template: FloatArray32) -> tuple[FloatArray32, FloatArray32]
     return across.reshape(template.shape), down.reshape(template.shape)
 
 
-def _covered(
+def covered_points(
     centre_px: FloatArray, extent_px: FloatArray, xyxy_px: FloatArray, rows: IntArray
 ) -> BoolArray:
     """(N, P) whether points of patches (N, 2) of the boxes `rows` (N,) are in a nearer box, which

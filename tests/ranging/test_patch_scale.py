@@ -5,7 +5,11 @@ import numpy as np
 import pytest
 
 from tests.ranging.patch_scenes import SIZE_PX, scene, texture, tracks
-from track_range.ranging.methods.patch_scale import PatchScales, template_slopes
+from track_range.ranging.methods.patch_scale import (
+    PatchScales,
+    covered_points,
+    template_slopes,
+)
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks
 
@@ -133,3 +137,25 @@ def test_an_image_is_not_read_without_a_patch_that_is_due():
         assert np.isnan(growth.log_ratio).all()
         assert not growth.is_key.any()
     assert np.isfinite(scales.measure(seen, image, 0.1).log_ratio).all()
+
+
+def test_points_in_any_nearer_box_are_covered():
+    """Against each point of each patch in each box that ends lower, one after the other."""
+    rng = np.random.default_rng(1)
+    corner, size = rng.uniform(0.0, 300.0, (12, 2)), rng.uniform(20.0, 120.0, (12, 2))
+    boxes = np.concatenate([corner, corner + size], axis=1)
+    rows = np.array([0, 3, 4, 9, 11])
+    centre, extent = (corner + size / 2)[rows], 0.4 * size[rows]
+    line = np.linspace(-1.0, 1.0, 20, dtype=np.float32)
+    expected = np.zeros((len(rows), 20, 20), bool)
+    for i, row in enumerate(rows):
+        for box in boxes[boxes[:, 3] > boxes[row, 3]]:
+            first, last = (box[:2] - centre[i]) / extent[i], (box[2:] - centre[i]) / extent[i]
+            x, y = line[None, :], line[:, None]
+            expected[i] |= (first[0] <= x) & (x <= last[0]) & (first[1] <= y) & (y <= last[1])
+    covered = covered_points(centre, extent, boxes, rows)
+    np.testing.assert_array_equal(covered, expected.reshape(len(rows), -1))
+    assert 0.1 < covered.mean() < 0.9
+    lowest = boxes[:, 3].argmax()[None]
+    alone = covered_points(corner[lowest], size[lowest], boxes, lowest)
+    assert not alone.any()
