@@ -9,7 +9,6 @@ are computed once per frame. Pixels belong to the small image, with pixel centre
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import starmap
 from typing import NamedTuple
 
 import cv2
@@ -27,6 +26,9 @@ _MIN_EIGENVALUE = 1e-5
 _TENSOR_PX, _MIN_TENSOR = 5, 1e-6
 # tracked window, and pyramid levels, for motions larger than the window
 _WINDOW_PX, _N_LEVELS, _N_LEVELS_EXPECTED = 9, 4, 2
+# Corners are detected at most so often; between, the tracked ones are those of the next flow, if so
+# large a fraction of them is tracked.
+_DETECTION_INTERVAL_S, _MIN_KEPT = 0.06, 0.7
 _MIN_SIDE_PX = 32  # of a small image that has room for windows
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)  # iterations and step in px
 
@@ -206,6 +208,7 @@ class BackgroundFlow:
         self._points: FloatArray32 = np.zeros((0, 2), np.float32)
         self._is_tracked: BoolArray = np.zeros(0, np.bool_)
         self._needs: set[tuple[int, float]] = set()
+        self._detected_s = math.nan  # time at which corners were detected
         # (N, 2) places of the first corners of the last frame that are expected in the next one
         self._expected: FloatArray32 | None = None
         self._start: FloatArray32 | None = None  # where the search of all corners begins
@@ -229,16 +232,50 @@ class BackgroundFlow:
         grey = small_grey(image, 0)
         small = small_grey(grey, n_halved)
         is_masked = masked_cells(xyxy_px, small.shape, n_halved)
-        self.now = FlowFrame(
-            time_s, image_hw, n_halved, grey, small, is_masked, ranked_corners(small, is_masked)
-        )
-        if before is None or before.image_hw != image_hw:
+        if before is not None and before.image_hw == image_hw:
+            self.before = before
+            if expected is not None:
+                self._start = before.corners.points.copy()
+                is_known = np.isfinite(expected).all(axis=1)
+                self._start[: len(expected)][is_known] = expected[is_known]
+            self._follow(small, is_masked)
+        corners = None
+        if time_s - self._detected_s < _DETECTION_INTERVAL_S:
+            corners = self._kept_corners()
+        if corners is None:
+            self._detected_s, corners = time_s, ranked_corners(small, is_masked)
+        self.now = FlowFrame(time_s, image_hw, n_halved, grey, small, is_masked, corners)
+
+    def _kept_corners(self) -> RankedCorners | None:
+        """The corners of the frame before at their places in the last frame; None = others are to
+        be detected.
+        """
+        n_tracked = np.count_nonzero(self._is_tracked)
+        if self.before is None or not n_tracked or n_tracked < _MIN_KEPT * len(self._points):
+            return None
+        quality = self.before.corners.quality[: len(self._points)]
+        return RankedCorners(self._points[self._is_tracked], quality[self._is_tracked])
+
+    def _follow(self, small: Image, is_masked: BoolArray) -> None:
+        """Track the corners of the frame before that estimators need, which are not tracked yet."""
+        before, n_tracked = self.before, len(self._points)
+        if before is None:
             return
-        self.before = before
-        if expected is not None:
-            self._start = before.corners.points.copy()
-            is_known = np.isfinite(expected).all(axis=1)
-            self._start[: len(expected)][is_known] = expected[is_known]
+        n_needed = max((before.corners.n_good(*need) for need in self._needs), default=0)
+        if n_needed <= n_tracked:
+            return
+        new = slice(n_tracked, n_needed)
+        points, is_tracked = tracked_corners(
+            before.small,
+            small,
+            before.corners.points[new],
+            window_px=_WINDOW_PX,
+            n_levels=_N_LEVELS if self._start is None else _N_LEVELS_EXPECTED,
+            start=None if self._start is None else self._start[new],
+        )
+        is_tracked[is_tracked] = ~are_masked(points[is_tracked], is_masked)
+        self._points = np.concatenate([self._points, points])
+        self._is_tracked = np.concatenate([self._is_tracked, is_tracked])
 
     def expect(self, points: FloatArray32) -> None:
         """Begin the search of the first corners of the last frame at points (N, 2) of the next
@@ -266,21 +303,7 @@ class BackgroundFlow:
         """
         if self.now is None or self.before is None:
             return np.zeros((0, 2), np.float32), np.zeros(0, np.bool_)
-        corners = self.before.corners
-        n_good = corners.n_good(n_corners, min_quality)
+        n_good = self.before.corners.n_good(n_corners, min_quality)
         self._needs.add((n_corners, min_quality))
-        if n_good > len(self._points):
-            n_needed = max(starmap(corners.n_good, self._needs))
-            new = slice(len(self._points), n_needed)
-            points, is_tracked = tracked_corners(
-                self.before.small,
-                self.now.small,
-                corners.points[new],
-                window_px=_WINDOW_PX,
-                n_levels=_N_LEVELS if self._start is None else _N_LEVELS_EXPECTED,
-                start=None if self._start is None else self._start[new],
-            )
-            is_tracked[is_tracked] = ~are_masked(points[is_tracked], self.now.is_masked)
-            self._points = np.concatenate([self._points, points])
-            self._is_tracked = np.concatenate([self._is_tracked, is_tracked])
+        self._follow(self.now.small, self.now.is_masked)
         return self._points[:n_good], self._is_tracked[:n_good]
