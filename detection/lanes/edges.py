@@ -38,6 +38,7 @@ _MIN_CONTRAST = 14.0  # smallest response of a bar, in grey levels
 # smallest response of a bar, in robust standard deviations of differences over s in its row
 _MIN_TEXTURE_RATIO = 4.0
 _SIGMA_PX = 1.0  # standard deviation of a marking's x, in pixels of the downscaled image
+_THREE = np.full((1, 3), 1 / 3, np.float32)  # mean of three pixels of a row
 _GREY_AND_YELLOW = np.array([[1 / 3, 1 / 3, 1 / 3], [-1.0, 0.5, 0.5]], np.float32)  # weights of BGR
 
 
@@ -77,10 +78,12 @@ def paint_points(image: Image, horizon_px: float) -> FloatArray:
     image.
     """
     first = _first_row(horizon_px, len(image))
-    both = cv2.transform(np.asarray(image[first::_ROW_STEP], np.float32), _GREY_AND_YELLOW)
-    # (2, K, W), smoothed along the rows
-    channels = np.array(cv2.split(cv2.blur(both, (3, 1))), np.float32)
-    n_rows = channels.shape[1]
+    rows = np.asarray(image[first::_ROW_STEP], np.float32)
+    n_rows, width = rows.shape[:2]
+    both = _GREY_AND_YELLOW @ rows.reshape(-1, 3).T
+    # a tenth of the time of cv2.blur for so few pixels
+    smooth = np.asarray(cv2.filter2D(both.reshape(-1, width), -1, _THREE), np.float32)
+    channels = smooth.reshape(2, n_rows, width)
     is_peak = np.zeros(channels.shape[1:], np.bool_)
     size, n_larger = divmod(n_rows, _N_BANDS)
     edges = [number * size + min(number, n_larger) for number in range(_N_BANDS + 1)]

@@ -86,10 +86,12 @@ def run_middles(is_marked: BoolArray, *, widest_px: float = np.inf) -> tuple[Int
     """
     padded = np.zeros((len(is_marked), is_marked.shape[1] + 2), np.bool_)
     padded[:, 1:-1] = is_marked
-    row, column = np.nonzero(padded[:, 1:] != padded[:, :-1])  # where runs begin and end, in turn
-    first, last = column[::2], column[1::2] - 1
-    is_narrow = last - first < widest_px
-    return row[::2][is_narrow].astype(np.int64), ((first + last) / 2)[is_narrow]
+    flat = padded.ravel()
+    ends = np.flatnonzero(flat[1:] != flat[:-1])  # where runs begin and end, in turn
+    row, first = np.divmod(ends[::2], padded.shape[1])
+    n_more = ends[1::2] - ends[::2] - 1
+    is_narrow = n_more < widest_px
+    return row[is_narrow], (first + n_more / 2)[is_narrow]
 
 
 def _numbered_lines(markings: Markings) -> tuple[FloatArray, FloatArray, IntArray]:
