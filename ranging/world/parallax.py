@@ -18,6 +18,7 @@ agrees with its distance by size within `_MAX_SIGMA` for `_MIN_STATIC_S`; only v
 lights are considered, since people walk slowly.
 """
 
+import math
 from typing import NamedTuple
 
 import cv2
@@ -74,6 +75,7 @@ class Parallax:
         """The estimator for `camera` (undistorted)."""
         self._camera = camera
         self._before: _Picture | None = None
+        self._step_s = math.nan  # time of the last step
         self._state = TrackState(np.array([np.nan, np.nan, np.nan, 0.0]))
         """By track: 1 / Z, its variance, time of the last measurement, seconds in agreement with
         other distances."""
@@ -81,10 +83,13 @@ class Parallax:
     def measure(self, tracks: Tracks, step: CameraStep | None, other: Ranges) -> Ranges:
         """Distances of N tracks that are static; NaN = moving, unknown, or not precise.
 
-        `step` is the motion of the camera since the previous frame, None = unknown; `other` are by
-        another method.
+        `step` is the motion of the camera since the previous frame, None = unknown; in frames
+        between two steps, it is the last one. `other` are by another method.
         """
+        if step is not None and step.time_s == self._step_s:  # a frame after the step
+            return Ranges.unmeasured(tracks.track_id)
         before, self._before = self._before, None
+        self._step_s = math.nan if step is None else step.time_s
         if step is None:
             return Ranges.unmeasured(tracks.track_id)
         n_halved = max(step.now.n_halved - 1, 0)

@@ -54,17 +54,19 @@ MAX_EGO_SIGMA_MPS = 1.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraStep:
-    """Motion of the camera since the previous frame."""
+    """Motion of the camera between two frames, the later of which is the last one, or one shortly
+    before it.
+    """
 
-    time_s: float  # time of the frame
-    dt_s: float  # time since the previous frame
+    time_s: float  # time of the later frame
+    dt_s: float  # time since the earlier one
     rotation: FloatArray  # (3, 3) rotation `now_from_before` of the static scene
     # standard deviation of the yaw between the frames, which does not average out
     rotation_sigma_rad: float
     travel: FloatArray  # (3,) unit vector of the direction of travel, in this frame
     travelled_m: float  # distance travelled
     travelled_sigma: float  # relative standard deviation of `travelled_m`, the same in all frames
-    now: FlowFrame  # the images of this frame
+    now: FlowFrame  # the images of the later frame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -26,6 +26,7 @@ up to 15 m.
 
 import math
 from collections import deque
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import cv2
@@ -158,6 +159,7 @@ class GroundOdometry:
         self._still_s = 0.0  # time for which near points have been in place
         self._last = math.nan, EgoMotion()
         self.motion = ImageMotion(time_s=math.nan)  # between the last two frames
+        self._step: CameraStep | None = None  # to the last frame that was compared
         self.has_horizon = False  # whether the horizon was measured so far
 
     @property
@@ -174,7 +176,7 @@ class GroundOdometry:
 
     def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
         """Motion since the previous frame, with boxes (N, 4) of road users; NaN where it is not
-        reliable.
+        reliable. Frames are compared at most 17 times per second: between, it is the last one.
 
         A second call for the same frame returns the same motion.
         """
@@ -182,6 +184,8 @@ class GroundOdometry:
         if frame.time_s == self._last[0]:
             return self._last[1]
         self.motion = motion = self._image_motion.update(frame.left, frame.time_s, xyxy_px)
+        if motion.time_s != frame.time_s:  # that of an earlier frame
+            return self._between(frame.time_s)
         now = self._flow.now
         grey = small_grey(frame.left, 0) if now is None else now.grey
         if math.isnan(motion.dt_s) or not self._past:
@@ -197,6 +201,15 @@ class GroundOdometry:
         self._last = frame.time_s, ego
         return ego
 
+    def _between(self, time_s: float) -> EgoMotion:
+        """The motion in a frame between two that are compared, with the predicted speed."""
+        before_s, ego = self._last
+        if math.isfinite(ego.speed_mps):
+            speed_mps, sigma_mps = self._filter.at(time_s, time_s - before_s)
+            ego = replace(ego, speed_mps=speed_mps, speed_sigma_mps=sigma_mps)
+        self._last = time_s, ego
+        return ego
+
     @property
     def travel(self) -> FloatArray:
         """(3,) unit vector of the direction of travel in the camera's axes in the last frame."""
@@ -210,9 +223,15 @@ class GroundOdometry:
         return self._direction.notes
 
     def step(self, ego: EgoMotion) -> CameraStep | None:
-        """Motion of the camera to the last frame, with the speed of `ego`; None = unknown, or at
-        rest.
+        """Motion of the camera to the last frame that was compared, with the speed of `ego` in it;
+        None = unknown, or at rest.
         """
+        if self.motion.time_s == self._last[0]:
+            self._step = self._step_to_now(ego)
+        return self._step
+
+    def _step_to_now(self, ego: EgoMotion) -> CameraStep | None:
+        """Motion of the camera since the frame that was compared before."""
         motion, now, axes, travel = (
             self.motion,
             self._flow.now,

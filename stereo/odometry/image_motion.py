@@ -136,7 +136,7 @@ class ImageMotionEstimator:
         self._camera = camera
         self._flow = flow or BackgroundFlow()
         self._travel_from_camera = np.eye(3) if travel_from_camera is None else travel_from_camera
-        self._last_s = math.nan
+        self._last = ImageMotion(time_s=math.nan)
         self._direction = -self._travel_from_camera[2]
         self._direction_variance = np.full(2, _DIRECTION_SIGMA_RAD**2)
 
@@ -159,7 +159,8 @@ class ImageMotionEstimator:
 
     def update(self, image: Image, time_s: float, xyxy_px: FloatArray | None = None) -> ImageMotion:
         """Motion since the previous frame, which must be earlier; unknown for the first frame and
-        after a gap.
+        after a gap. Frames are compared when the flow has new corners, at most 17 times per second:
+        between, it is the motion of the last one.
 
         The image is (H, W, 3) BGR or (H, W) grey, of the size of the camera; `xyxy_px` (N, 4) are
         boxes of road users, which are not static; None = no boxes are known.
@@ -169,8 +170,15 @@ class ImageMotionEstimator:
         boxes = np.zeros((0, 4)) if xyxy_px is None else xyxy_px
         check_shape("xyxy_px", boxes, (None, 4))
         self._flow.add(image, boxes, time_s)
-        dt_s, self._last_s = time_s - self._last_s, time_s
-        if self._flow.now is None or self._flow.before is None or not 0 < dt_s <= _MAX_GAP_S:
+        if not self._flow.is_between:
+            self._last = self._compared(time_s)
+        return self._last
+
+    def _compared(self, time_s: float) -> ImageMotion:
+        """Motion to a frame of the flow with new corners, since the one before it."""
+        first, last_s = self._flow.detection_before, self._last.time_s
+        dt_s = time_s - last_s
+        if first is None or first.time_s != last_s or not 0 < dt_s <= _MAX_GAP_S:
             return ImageMotion(time_s=time_s)
         before, now, focal_px = tracked_rays(self._flow, self._camera)
         if len(before) < _MIN_FEATURES:
@@ -322,19 +330,20 @@ def fit_epipolar(
 def tracked_rays(
     flow: BackgroundFlow, camera: PinholeCamera
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Rays (N, 3) of corners, without those on edges, in the last two frames of a flow, and the
-    focal length of its small image.
+    """Rays (N, 3) of corners, without those on edges, in the last two frames of a flow in which
+    corners are detected, and the focal length of its small image.
     """
-    corners, points = flow.tracked(_N_FEATURES, _MIN_QUALITY)
-    if flow.now is None or flow.before is None or not len(corners):
+    corners, points = flow.since_detection(_N_FEATURES, _MIN_QUALITY)
+    before = flow.detection_before
+    if flow.now is None or before is None or not len(corners):
         return np.zeros((0, 3)), np.zeros((0, 3)), camera.fx_px
-    is_corner = isotropy(flow.before.small, corners) >= _MIN_ISOTROPY
+    is_corner = isotropy(before.small, corners) >= _MIN_ISOTROPY
     factor = 1 << flow.now.n_halved
-    before, now = (
+    rays_before, rays_now = (
         camera.rays(factor * tracked[is_corner].astype(np.float64) + (factor - 1) / 2)
         for tracked in (corners, points)
     )
-    return before, now, camera.fx_px / factor
+    return rays_before, rays_now, camera.fx_px / factor
 
 
 def _turned(rays: FloatArray, rotation: FloatArray) -> FloatArray:

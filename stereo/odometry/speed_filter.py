@@ -126,6 +126,13 @@ class SpeedFilter:
         )
         if self.is_measured:
             self._measured_s = middle_s
+        return self.at(time_s, dt_s)
+
+    def at(self, time_s: float, dt_s: float) -> tuple[float, float]:
+        """Speed at `time_s` and its standard deviation by the measurements so far, NaN = unknown;
+        the last frame was `dt_s` before.
+        """
+        middle_s = time_s - dt_s / 2
         if self._state is None or middle_s - self._measured_s > MAX_PREDICTED_S:
             return math.nan, math.nan
         if self._n_agreed < 2 and abs(self._state.speed_mps * dt_s) > _LARGE_STEP_M:

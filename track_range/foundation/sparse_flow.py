@@ -184,6 +184,8 @@ class FlowFrame:
     small: Image  # (h, w) image, halved `n_halved` times
     is_masked: BoolArray  # cells of the small image with boxes of road users
     corners: RankedCorners  # those of the background
+    # (N, 2) places at which the corners were detected, in this frame or an earlier one
+    detected: FloatArray32
 
 
 class BackgroundFlow:
@@ -208,7 +210,11 @@ class BackgroundFlow:
         self._points: FloatArray32 = np.zeros((0, 2), np.float32)
         self._is_tracked: BoolArray = np.zeros(0, np.bool_)
         self._needs: set[tuple[int, float]] = set()
-        self._detected_s = math.nan  # time at which corners were detected
+        self.is_between = False  # whether the corners of the last frame are those of an earlier one
+        # the last frame with new corners, and the last one before `now`; None = there is none of
+        # equal size
+        self._detection: FlowFrame | None = None
+        self.detection_before: FlowFrame | None = None
         # (N, 2) places of the first corners of the last frame that are expected in the next one
         self._expected: FloatArray32 | None = None
         self._start: FloatArray32 | None = None  # where the search of all corners begins
@@ -223,6 +229,7 @@ class BackgroundFlow:
             return
         self._last_s = time_s
         before, self.before, self.now = self.now, None, None
+        self.detection_before, self.is_between = None, False
         expected, self._expected, self._start = self._expected, None, None
         self._points, self._is_tracked = np.zeros((0, 2), np.float32), np.zeros(0, np.bool_)
         image_hw = image.shape[0], image.shape[1]
@@ -239,22 +246,43 @@ class BackgroundFlow:
                 is_known = np.isfinite(expected).all(axis=1)
                 self._start[: len(expected)][is_known] = expected[is_known]
             self._follow(small, is_masked)
-        corners = None
-        if time_s - self._detected_s < _DETECTION_INTERVAL_S:
-            corners = self._kept_corners()
-        if corners is None:
-            self._detected_s, corners = time_s, ranked_corners(small, is_masked)
-        self.now = FlowFrame(time_s, image_hw, n_halved, grey, small, is_masked, corners)
+        kept = None
+        if self.before is None:
+            self._detection = None
+        if self._detection is not None and time_s - self._detection.time_s < _DETECTION_INTERVAL_S:
+            kept = self._kept_corners()
+        self.detection_before = self._detection
+        if kept is not None:
+            corners, detected = kept
+        else:
+            corners = ranked_corners(small, is_masked)
+            detected = corners.points
+        self.now = FlowFrame(time_s, image_hw, n_halved, grey, small, is_masked, corners, detected)
+        self.is_between = kept is not None
+        if not self.is_between:
+            self._detection = self.now
 
-    def _kept_corners(self) -> RankedCorners | None:
-        """The corners of the frame before at their places in the last frame; None = others are to
-        be detected.
+    def _kept_corners(self) -> tuple[RankedCorners, FloatArray32] | None:
+        """The corners of the frame before at their places in the last frame, and the places (N, 2)
+        at which they were detected; None = others are to be detected.
         """
-        n_tracked = np.count_nonzero(self._is_tracked)
-        if self.before is None or not n_tracked or n_tracked < _MIN_KEPT * len(self._points):
+        n_tracked, n = np.count_nonzero(self._is_tracked), len(self._points)
+        if self.before is None or not n_tracked or n_tracked < _MIN_KEPT * n:
             return None
-        quality = self.before.corners.quality[: len(self._points)]
-        return RankedCorners(self._points[self._is_tracked], quality[self._is_tracked])
+        quality = self.before.corners.quality[:n][self._is_tracked]
+        corners = RankedCorners(self._points[self._is_tracked], quality)
+        return corners, self.before.detected[:n][self._is_tracked]
+
+    def since_detection(
+        self, n_corners: int, min_quality: float
+    ) -> tuple[FloatArray32, FloatArray32]:
+        """(N, 2) places of corners as of `tracked` in the last frame and in the frame before it in
+        which they were detected, `detection_before`.
+        """
+        points, is_tracked = self.followed(n_corners, min_quality)
+        if self.before is None:
+            return points, points
+        return self.before.detected[: len(points)][is_tracked], points[is_tracked]
 
     def _follow(self, small: Image, is_masked: BoolArray) -> None:
         """Track the corners of the frame before that estimators need, which are not tracked yet."""
