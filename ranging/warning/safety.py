@@ -40,6 +40,7 @@ _MIN_EGO_MPS = 0.5  # smallest ego speed of a headway
 _MIN_OWN_MPS = -2.0
 # width of a lane; standard deviation of the ego path from the middle of its lane
 _LANE_M, _LANE_SIGMA_M = 3.5, 0.3
+_USUAL = WarningSettings()  # of a usual car
 MAX_GAP_S = 1.0  # longest interruption of a track that counts for TET and TIT
 # (road classes,) half the typical width, m
 HALF_WIDTH_M = np.array([0.3, 0.3, 0.9, 0.4, 1.25, 1.25, 0.0, 0.0])
@@ -53,7 +54,7 @@ def apart_m(
     """(N,) distance between the edges of objects and of the ego path, negative = on the path, NaN =
     unknown.
     """
-    ego_width_m = (settings or WarningSettings()).ego_width_m
+    ego_width_m = (settings or _USUAL).ego_width_m
     return np.asarray(np.abs(path_offset_m) - ego_width_m / 2 - HALF_WIDTH_M[class_id])
 
 
@@ -102,7 +103,7 @@ class SafetyMonitor:
 
     def __init__(self, settings: WarningSettings | None = None) -> None:
         """Start without tracks; None = default settings."""
-        self._settings = settings or WarningSettings()
+        self._settings = settings or _USUAL
         self._tracks = TrackState(np.array([0.0, 0.0, np.nan]))  # TET, TIT, time
 
     def update(
@@ -235,7 +236,7 @@ def post_encroachment_s(
     track is nearer to the ego path than `half_width_m` and half of the ego vehicle; the ego vehicle
     is there from its front to its rear.
     """
-    settings = settings or WarningSettings()
+    settings = settings or _USUAL
     step = np.hypot(*np.diff(ego[:, 1:], axis=0).T)
     moved = np.concatenate([[True], step > 1e-3])  # rows of a standing vehicle have no direction
     ego = ego[moved]

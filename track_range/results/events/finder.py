@@ -28,7 +28,6 @@ from track_range.ranging.warning.safety import (
     apart_m,
     post_encroachment_s,
 )
-from track_range.ranging.warning.settings import WarningSettings
 from track_range.results.events.event import (
     WARNING_KINDS,
     Event,
@@ -59,7 +58,6 @@ _MIN_ALONG_MPS = 2.0  # of a vehicle that moves in the direction of the ego vehi
 _MAX_CUT_IN_M = 40.0  # farther away, the lateral position is too uncertain
 _MIN_CLOSING_MPS = 2.0  # of a hard approach; below, a touch at walking speed
 _MAX_SPEED_MPS = 70.0  # of a road user; above, the track is wrong
-_WARNING = WarningSettings()  # of the width of the ego vehicle
 _CLEAR_SIGMAS = 2.0  # a gap of fewer standard deviations does not exclude a contact
 # of a hard approach, more than tyres allow; above, it was a contact, or wrong
 _MAX_BRAKING_MPS2 = 15.0
@@ -105,7 +103,7 @@ class Situation:
                 ego_mps=result.ego_mps,
                 warnings=warnings,
             )
-        apart = apart_m(offset_m, class_id, _WARNING)
+        apart = apart_m(offset_m, class_id)
         return cls(
             distance_m=distance_m,
             sigma_m=sigma_m,

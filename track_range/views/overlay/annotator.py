@@ -165,7 +165,7 @@ class Overlay:
 
 def draw_box(canvas: Image, box: FloatArray, *, bgr: Bgr, line_px: int, dashed: bool) -> None:
     """Draw the outline of a box with a dark border, dashed for a predicted box."""
-    x1, y1, x2, y2 = np.rint(box).astype(int).tolist()
+    x1, y1, x2, y2 = map(round, box.tolist())
     if not dashed:
         cv2.rectangle(canvas, (x1, y1), (x2, y2), BLACK, line_px + 2)
         cv2.rectangle(canvas, (x1, y1), (x2, y2), bgr, line_px)
@@ -259,10 +259,10 @@ def draw_lanes(
     for line in (lanes.left, lanes.right):
         if line is None:
             continue
-        drawn = points(line, n=_LANE_POINTS)
-        along = np.clip(
-            np.nan_to_num(drawn if moved is None else moved(drawn)), -size_px, 2 * size_px
-        )
+        along = points(line, n=_LANE_POINTS)
+        if moved is not None:
+            along = np.nan_to_num(moved(along))
+        along = np.clip(along, -size_px, 2 * size_px)
         stroke = [np.rint(along).astype(np.int32)]
         cv2.polylines(canvas, stroke, False, BLACK, line_px + 2)
         cv2.polylines(canvas, stroke, False, LANE_COLOUR, line_px, cv2.LINE_AA)

@@ -14,6 +14,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -199,6 +200,7 @@ class BirdsEye:
         return np.rint(np.clip(pixels, -limit, limit)).astype(np.int64)
 
 
+@cache  # of few sizes of images
 def _places(image_px: tuple[int, int]) -> FloatArray:
     """(4, 4) rectangles of the inset in the `_CORNERS` of an image (W, H); the upper two are below
     a line of text.

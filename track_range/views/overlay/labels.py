@@ -13,8 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from operator import attrgetter
+from functools import cache, lru_cache
 
 import cv2
 import numpy as np
@@ -64,6 +63,7 @@ Line = Sequence[Span]
 Lines = Sequence[Line]
 
 
+@cache  # of few sizes of images
 def text_sizes_px(image_px: tuple[int, int]) -> tuple[int, int, int]:
     """Large text, small text and stroke width in px for an image (W, H): 26, 18 and 3 at 1280 x
     720.
@@ -223,7 +223,7 @@ class TextRenderer:
         """Draw lines on a darkened background in the rectangle `place` (4,), with an optional
         stripe at the left.
         """
-        left, top, right, bottom = np.rint(place).astype(int).tolist()
+        left, top, right, bottom = map(round, place.tolist())
         background = canvas[top:bottom, left:right]
         np.right_shift(background, 2, out=background)
         margin, stripe_px = _margin_px(lines), _margin_px(lines) // 2
@@ -267,7 +267,7 @@ def _margin_px(lines: Lines) -> int:
 
 def line_height_px(line: Line) -> int:
     """Height of a line of text in pixels: 1.25 times its largest font size."""
-    return max(line, key=attrgetter("size_px")).size_px * 5 // 4
+    return max([span.size_px for span in line]) * 5 // 4
 
 
 BESIDE = (
@@ -335,7 +335,7 @@ class LabelPlacer:
         all_places, all_costs = _candidates(boxes, sizes_px[0], image_px, last)
         for i, track_id in enumerate(ids):
             size, places, costs = 0, all_places[i], all_costs[i]
-            closed = np.vstack([occupied, boxes[:i]])
+            closed = np.concatenate([occupied, boxes[:i]])
             number = free_place(places, costs, closed)
             best_cost = math.inf if number is None else costs[number]
             is_expensive = not urgent[i] and best_cost > _MAX_COST * sizes_px[0, i].prod()
@@ -354,7 +354,7 @@ class LabelPlacer:
                 placements.append(None)
                 continue
             self._previous[size, track_id] = number
-            occupied = np.vstack([occupied, places[number]])
+            occupied = np.concatenate([occupied, places[number : number + 1]])
             placements.append((size, places[number]))
         return placements
 
@@ -382,7 +382,8 @@ def label_places(boxes: FloatArray, size_px: FloatArray, image_px: tuple[int, in
     """
     spans = np.stack([boxes[:, 2:] - boxes[:, :2], size_px], axis=1)
     corner = boxes[:, None, :2] + np.einsum("kij,nij->nkj", PLACES, spans)
-    corner = np.clip(corner, 0.0, np.maximum(np.array(image_px) - size_px, 0.0)[:, None]).round()
+    last_px = np.maximum(np.array(image_px) - size_px, 0.0)[:, None]
+    corner = np.minimum(np.maximum(corner, 0.0), last_px).round()
     return np.concatenate([corner, corner + size_px[:, None]], axis=2)
 
 
@@ -420,7 +421,9 @@ def free_place(places: FloatArray, costs: FloatArray, occupied: FloatArray) -> i
     """Index of the cheapest of (K, 4) candidates that is free and has a finite cost; None if there
     is none.
     """
-    overlaps = (places[:, None, :2] < occupied[:, 2:]) & (places[:, None, 2:] > occupied[:, :2])
-    costs = np.where((overlaps[..., 0] & overlaps[..., 1]).any(axis=1), np.inf, costs)
-    number = int(np.argmin(costs))
-    return number if np.isfinite(costs[number]) else None
+    left, top, right, bottom = places.T[:, :, None]
+    x1, y1, x2, y2 = occupied.T
+    overlaps = (left < x2) & (right > x1) & (top < y2) & (bottom > y1)
+    costs = np.where(overlaps.any(axis=1), np.inf, costs)
+    number = int(costs.argmin())
+    return number if costs[number] < np.inf else None
