@@ -91,7 +91,7 @@ MOST_STATEMENTS = {
     # settings of the warning check themselves (3)
     # arrays of all body types and yaws of a frame's boxes, and their selection by a sort (25); slopes
     # of patches (12); references of the drive's scale and contacts of both roads at once (20)
-    "ranging": 7_423,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 7_424,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     "api": 106,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
@@ -162,7 +162,7 @@ MOST_STATEMENTS = {
     # sentences of events with sigmas, predictions as such, and what is not known (36)
     # columns that were added after all others, before those of packages (2)
     # settings of events check themselves (3)
-    "results": 2_729,
+    "results": 2_727,
     # imports of one file for each idea of the settings (45); the parts of a run report, each in a class
     # of its own with what it imports (205); the options of its recording (15); notes on packages
     # at the end (5)
@@ -187,7 +187,7 @@ MOST_STATEMENTS = {
     # the share within 25 % (1)
     # thresholds of the alarm beside the probability of contact, and sigmas of events (21)
     # what a run without road users says (2)
-    "views": 2_637,
+    "views": 2_642,
     "track_range": 101,  # a module of errors and one of evaluations, each with its names for type checkers (18)
 }
 
