@@ -38,6 +38,11 @@ class CuboidBox:
     # log of 1 / z of the nearest point on the ground; determines the bottom edge
     log_inverse_depth: Floats
     xz_m: _Pair  # position of the cuboid's centre, x to the right and z ahead, in metres
+    inverse_depths: _Pair  # 1 / z of the nearest and of the farthest vertical edge, 1/m
+
+    def log_height_of(self, height_m: Floats, camera_height_m: float) -> Floats:
+        """Log height of the boxes of cuboids that differ only in their height, as `log_height`."""
+        return _log_height(self.inverse_depths, height_m, camera_height_m)
 
 
 def box_of_cuboid(
@@ -64,34 +69,45 @@ def box_of_cuboid(
         x = bearing * z
     else:
         x, z = start.xz_m
+    size, yaw = (width, length), (cos, sin)
     for _ in range(_N_STEPS if start is None else _N_STEPS_FROM_START):
-        column, _ = _corners((x, z), (width, length), (cos, sin))
-        x = x + (bearing - (column.min(axis=0) + column.max(axis=0)) / 2) * z
-        entry_m = _entry_depth((x, z), (width, length), (cos, sin), bearing)
-        step_m = np.clip(
-            distance_m - entry_m, -0.3 * z, 0.3 * z
-        )  # limited: the entry of a ray that misses is arbitrary
+        corner_x, corner_z = _corners((x, z), size, yaw)
+        corner_x /= corner_z
+        middle = (corner_x.min(axis=0) + corner_x.max(axis=0)) / 2
+        x = x + (bearing - middle) * z
+        step_m = distance_m - _entry_depth((x, z), size, yaw, bearing)
+        limit_m = 0.3 * z  # the entry of a ray that misses is arbitrary
+        step_m = np.minimum(np.maximum(step_m, -limit_m), limit_m)
         x, z = x + bearing * step_m, np.maximum(z + step_m, _MIN_DEPTH_M)
-    column, inverse_depth = _corners((x, z), (width, length), (cos, sin))
-    nearest = inverse_depth.max(axis=0)
-    top = ((camera_height_m - height) * inverse_depth).min(axis=0)
-    log_height, log_width = (
-        np.log(camera_height_m * nearest - top),
+    corner_x, corner_z = _corners((x, z), size, yaw)
+    column = corner_x / corner_z
+    nearest, farthest = 1.0 / corner_z.min(axis=0), 1.0 / corner_z.max(axis=0)
+    return CuboidBox(
+        _log_height((nearest, farthest), height, camera_height_m),
         np.log(column.max(axis=0) - column.min(axis=0)),
+        np.log(nearest),
+        (x, z),
+        (nearest, farthest),
     )
-    return CuboidBox(log_height, log_width, np.log(nearest), (x, z))
+
+
+def _log_height(inverse_depths: _Pair, height_m: Floats, camera_height_m: float) -> Floats:
+    """Log of the height of boxes divided by the focal length: the bottom edge is that of the nearest
+    vertical edge, the top edge that of the farthest one if the cuboid is higher than the camera.
+    """
+    nearest, farthest = inverse_depths
+    above_m = camera_height_m - height_m
+    top = np.minimum(above_m * nearest, above_m * farthest)
+    return np.asarray(np.log(camera_height_m * nearest - top))
 
 
 def _corners(centre: _Pair, size: _Pair, yaw: _Pair) -> _Pair:
-    """(4, ...) column divided by the focal length, and 1 / z, of the four vertical edges; `yaw` is
-    (cos, sin).
-    """
+    """(4, ...) position of the four vertical edges, to the right and ahead; `yaw` is (cos, sin)."""
     (x, z), (width, length), (cos, sin) = centre, size, yaw
-    corner_x = np.stack([x + sin * i * length + cos * j * width for i, j in _CORNERS])
-    corner_z = np.stack(
-        [np.maximum(z + cos * i * length - sin * j * width, _MIN_DEPTH_M) for i, j in _CORNERS]
-    )
-    return corner_x / corner_z, 1.0 / corner_z
+    corner_x = np.stack([x + (sin * i * length + cos * j * width) for i, j in _CORNERS])
+    corner_z = np.stack([z + (cos * i * length - sin * j * width) for i, j in _CORNERS])
+    np.maximum(corner_z, _MIN_DEPTH_M, out=corner_z)
+    return corner_x, corner_z
 
 
 def _entry_depth(centre: _Pair, size: _Pair, yaw: _Pair, bearing: Floats) -> Floats:
@@ -101,7 +117,7 @@ def _entry_depth(centre: _Pair, size: _Pair, yaw: _Pair, bearing: Floats) -> Flo
     (x, z), (width, length), (cos, sin) = centre, size, yaw
     along, across = sin * bearing + cos, cos * bearing - sin
     along, across = (np.where(np.abs(part) < 1e-9, 1e-9, part) for part in (along, across))
-    centre_along, centre_across = sin * x + cos * z, cos * x - sin * z
-    first_along = np.minimum(*((centre_along + sign * length / 2) / along for sign in (-1, 1)))
-    first_across = np.minimum(*((centre_across + sign * width / 2) / across for sign in (-1, 1)))
+    # the ray enters each slab at the smaller of (centre +- half) / direction
+    first_along = (sin * x + cos * z) / along - np.abs(length / 2 / along)
+    first_across = (cos * x - sin * z) / across - np.abs(width / 2 / across)
     return np.asarray(np.maximum(first_along, first_across))

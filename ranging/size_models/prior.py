@@ -198,16 +198,18 @@ def _nodes(prior: SizePrior, sizes: BodySizes) -> Floats32:
     mean = np.log(sizes.hwl_m).astype(np.float32)
     typical = box_for(mean)
     value = _log_size(typical)
-    by_size = np.stack(
-        [
-            (
-                _log_size(box_for(mean + step, start=typical))
-                - _log_size(box_for(mean - step, start=typical))
-            )
-            / (2 * _SIZE_STEP)
-            for step in (_SIZE_STEP * np.identity(3)).astype(np.float32)
-        ]
+    # another height changes neither the place of a cuboid nor the width of its box
+    higher, lower = (
+        typical.log_height_of(np.exp(mean[0] + step), NODE_CAMERA_HEIGHT_M)
+        for step in (_SIZE_STEP, -_SIZE_STEP)
     )
+    by_size = np.zeros((3, *value.shape), np.float32)
+    by_size[0, 0] = (higher - lower) / (2 * _SIZE_STEP)
+    for side in (1, 2):
+        step = _SIZE_STEP * np.identity(3, np.float32)[side]
+        longer = _log_size(box_for(mean + step, start=typical))
+        shorter = _log_size(box_for(mean - step, start=typical))
+        by_size[side] = (longer - shorter) / (2 * _SIZE_STEP)
     covariance = sizes.covariance
     a, c, b = (
         np.einsum("i...,ij,j...", by_size[:, i], covariance, by_size[:, j])

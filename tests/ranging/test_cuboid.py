@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from track_range.ranging.size_models.cuboid import box_of_cuboid
+from track_range.ranging.size_models.cuboid import CuboidBox, box_of_cuboid
 from track_range.ranging.truth.reference_distance import surface_distance_m
 
 HEIGHT_M = 1.65
@@ -23,6 +23,23 @@ def test_rear_straight_ahead_by_hand():
     assert np.exp(box.log_inverse_depth) == pytest.approx([1 / 20])
     top = (HEIGHT_M - 1.5) / 24  # of the front edge of the roof
     assert np.exp(box.log_height) == pytest.approx([HEIGHT_M / 20 - top])
+
+
+@pytest.mark.parametrize("height_m", [1.2, 1.65, 3.2])
+def test_boxes_of_another_height(height_m: float) -> None:
+    """Lower and higher than the camera: the roof is seen or not."""
+
+    def box(of_height_m: float) -> CuboidBox:
+        return box_of_cuboid(
+            np.log([of_height_m, 1.8, 4.0]),
+            yaw_rad=np.array([0.0, 0.4, -1.2]),
+            bearing=np.array([0.0, 0.3, -0.2]),
+            distance_m=np.array([9.0, 20.0, 40.0]),
+            camera_height_m=HEIGHT_M,
+        )
+
+    other = box(1.5).log_height_of(np.array(height_m), HEIGHT_M)
+    np.testing.assert_allclose(other, box(height_m).log_height, rtol=1e-12)
 
 
 @pytest.mark.slow
