@@ -207,6 +207,7 @@ class GroundOdometry:
         if math.isfinite(ego.speed_mps):
             speed_mps, sigma_mps = self._filter.at(time_s, time_s - before_s)
             ego = replace(ego, speed_mps=speed_mps, speed_sigma_mps=sigma_mps)
+        ego = replace(ego, yaw_rad_s=self.motion.yaw_rad_s)
         self._last = time_s, ego
         return ego
 

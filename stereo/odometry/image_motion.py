@@ -19,7 +19,7 @@ which rates and the direction of travel are stated, and in which the prior of th
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
@@ -68,6 +68,7 @@ _MAX_STILL_PX, _MAX_NEAR_PX, _STILL_FRACTION = 0.1, 0.5, 0.9
 # tangent below the horizon from which the ground is near, 25 m for a camera at 1.5 m, and the least
 # number of its points
 _NEAR_SLOPE, _MIN_NEAR = 0.06, 5
+_YAW_GAIN = 0.5  # weight of one change of the yaw rate in its mean
 _MAX_GAP_S = 0.6  # longest time between two frames
 # smallest part of a unit translation along the axis of travel; a smaller one is no usual motion
 _MIN_FORWARD = 0.5
@@ -137,6 +138,7 @@ class ImageMotionEstimator:
         self._flow = flow or BackgroundFlow()
         self._travel_from_camera = np.eye(3) if travel_from_camera is None else travel_from_camera
         self._last = ImageMotion(time_s=math.nan)
+        self._yaw_slope = 0.0  # change of the yaw rate per second
         self._direction = -self._travel_from_camera[2]
         self._direction_variance = np.full(2, _DIRECTION_SIGMA_RAD**2)
 
@@ -160,7 +162,7 @@ class ImageMotionEstimator:
     def update(self, image: Image, time_s: float, xyxy_px: FloatArray | None = None) -> ImageMotion:
         """Motion since the previous frame, which must be earlier; unknown for the first frame and
         after a gap. Frames are compared when the flow has new corners, at most 17 times per second:
-        between, it is the motion of the last one.
+        between, it is the motion of the last one, with the yaw rate that is expected in the frame.
 
         The image is (H, W, 3) BGR or (H, W) grey, of the size of the camera; `xyxy_px` (N, 4) are
         boxes of road users, which are not static; None = no boxes are known.
@@ -170,8 +172,15 @@ class ImageMotionEstimator:
         boxes = np.zeros((0, 4)) if xyxy_px is None else xyxy_px
         check_shape("xyxy_px", boxes, (None, 4))
         self._flow.add(image, boxes, time_s)
-        if not self._flow.is_between:
-            self._last = self._compared(time_s)
+        last = self._last
+        if self._flow.is_between:
+            yaw_rad_s = last.yaw_rad_s + self._yaw_slope * (time_s - last.time_s)
+            return replace(last, yaw_rad_s=yaw_rad_s)
+        self._last = self._compared(time_s)
+        slope = (self._last.yaw_rad_s - last.yaw_rad_s) / self._last.dt_s
+        self._yaw_slope += _YAW_GAIN * (slope - self._yaw_slope)
+        if not math.isfinite(self._yaw_slope):
+            self._yaw_slope = 0.0
         return self._last
 
     def _compared(self, time_s: float) -> ImageMotion:

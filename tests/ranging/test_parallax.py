@@ -58,6 +58,7 @@ def driven(
     travelled_m=WAY_M,
     starts_m=(32.0, 28.0),
     travel=(0.0, 0.0, 1.0),
+    n_repeated=0,
 ):
     """Ranges after some frames, and the true distances; the objects move with `speeds_mps` away
     from the camera, which drives in the direction `travel`."""
@@ -79,9 +80,10 @@ def driven(
             now=flow.now,
         )
         other_m = distances_m * (1 + size_error)
-        ranges = parallax.measure(
-            tracks, step if k else None, Ranges(ids, other_m, sigma * other_m)
-        )
+        other = Ranges(ids, other_m, sigma * other_m)
+        ranges = parallax.measure(tracks, step if k else None, other)
+        for _ in range(n_repeated if k else 0):
+            assert np.isnan(parallax.measure(tracks, step, other).distance_m).all()
         true_m = distances_m
         distances_m = distances_m - WAY_M * travel[2] + DT_S * np.array(speeds_mps)
         sides_m = sides_m - WAY_M * travel[0]
@@ -100,6 +102,12 @@ def test_distances_of_parked_cars(size_error):
 def test_distances_from_a_camera_that_looks_aside(yaw_deg):
     travel = Mounting(yaw_deg=yaw_deg).travel_from_camera[2]
     ranges, true_m = driven(travel=travel)
+    assert ranges.distance_m == pytest.approx(true_m, rel=0.03)
+
+
+def test_frames_after_a_step_measure_nothing_and_lose_nothing():
+    ranges, true_m = driven(n_repeated=2)
+    np.testing.assert_array_equal(ranges.distance_m, driven()[0].distance_m)
     assert ranges.distance_m == pytest.approx(true_m, rel=0.03)
 
 

@@ -50,6 +50,24 @@ def test_slow_speeds_by_frames_that_are_farther_apart(speed_mps):
     assert (sigmas_mps < 0.35).all()
 
 
+def test_frames_between_two_that_are_compared():
+    """25 frames/s: every second one has the predicted speed and yaw rate, and the last step."""
+    mounting, speed_mps, yaw_rad_s = Mounting(pitch_deg=5.0), 8.0, 0.1
+    odometry = GroundOdometry(CAMERA, HEIGHT_M, travel_from_camera=mounting.travel_from_camera)
+    steps = []
+    for k in range(17):
+        time_s = k / 25
+        image = street(mounting, speed_mps * time_s, yaw_rad_s * time_s)
+        motion = odometry.update(Frame(k, time_s, image, None), NO_BOXES)
+        steps.append(odometry.step(motion))
+        if k > 8:
+            assert motion.speed_mps == pytest.approx(speed_mps, rel=0.05)
+            assert motion.yaw_rad_s == pytest.approx(yaw_rad_s, abs=0.03)
+            assert steps[-1].time_s == pytest.approx((2 * ((k - 1) // 2) + 1) / 25)
+            assert steps[-1].dt_s == pytest.approx(2 / 25)
+    assert steps[-1] is steps[-2]
+
+
 def test_camera_that_stops_is_at_rest():
     mounting = Mounting(pitch_deg=5.0)
     odometry, _ = driven(mounting, mounting, speed_mps=0.6)

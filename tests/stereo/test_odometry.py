@@ -24,7 +24,7 @@ NO_BOXES = np.zeros((0, 4))
 AHEAD = Mounting()
 
 
-def fitted(rays, rho, now):
+def fitted(rays, rho, now, **given):
     return fit_motion(
         rays,
         rho,
@@ -32,6 +32,7 @@ def fitted(rays, rho, now):
         noise=NOISE,
         inverse_depth_noise=0.15 / (360 * 0.54),
         rng=np.random.default_rng(0),
+        **given,
     )
 
 
@@ -69,6 +70,27 @@ def test_motion_beside_large_truck():
     assert fit.motion.translation_m[2] == pytest.approx(-1.0, abs=0.02)
     assert fit.is_static[:90].mean() < 0.3
     assert fit.is_static[90:].mean() > 0.9
+
+
+def test_expected_motion_does_not_change_the_fit():
+    """Near it, no triples are needed; far from it, or among many moving points, they decide."""
+    true = RigidMotion(yawed(0.01), np.array([0.05, 0.0, -1.0]))
+    rays, rho, now = static_scene(true)
+    by_triples = fitted(rays, rho, now).motion
+    near = RigidMotion(yawed(0.02), np.array([0.0, 0.0, -1.2]))
+    far = RigidMotion(yawed(-0.3), np.array([0.0, 0.0, 3.0]))
+    for start in (near, far):
+        motion = fitted(rays, rho, now, start=start).motion
+        np.testing.assert_allclose(motion.rotation, by_triples.rotation, atol=1e-5)
+        np.testing.assert_allclose(motion.translation_m, by_triples.translation_m, atol=2e-3)
+    truck = slice(0, 90)
+    rho[truck] = 1 / 9.0
+    slow = RigidMotion(np.eye(3), np.array([0.0, 0.0, -0.3]))
+    moved = slow.moved(rays[truck], rho[truck])
+    now[truck] = moved / moved[:, 2:]
+    assert fitted(rays, rho, now, start=slow).motion.translation_m[2] == pytest.approx(
+        -1.0, abs=0.02
+    )
 
 
 def test_common_disparity_error():

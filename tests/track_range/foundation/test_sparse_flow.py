@@ -108,3 +108,42 @@ def test_shared_flow_gives_equal_results():
         assert results[0][0] == results[1][0]
         assert repr(results[0][1]) == repr(results[1][1])
     assert results[0][1].yaw_rad_s == pytest.approx(-10 * 3 / 360, abs=0.01)
+
+
+def test_corners_of_fast_frames_are_detected_in_every_second_one():
+    """25 frames/s: between, the tracked corners go on, and lead back to where they were detected."""
+    flow, detected_s = BackgroundFlow(), [0.0]
+    for k in range(6):
+        flow.add(image_at(110 - 3 * k), NO_BOXES, k / 25)
+        before, now = flow.tracked(100, 0.01)
+        first, last = flow.since_detection(100, 0.01)
+        assert flow.is_between == (k in (2, 4))  # no corners are needed before frame 1
+        if k:
+            np.testing.assert_allclose(np.median(now - before, axis=0), [3, 0], atol=0.05)
+            n_frames = round(25 * (k / 25 - detected_s[-1]))
+            moved = np.median(last - first, axis=0)
+            np.testing.assert_allclose(moved, [3 * n_frames, 0], atol=0.05)
+            assert flow.detection_before.time_s == detected_s[-1]
+        if not flow.is_between:
+            detected_s.append(k / 25)
+    assert len(now) > 50
+
+
+def test_corners_are_detected_where_few_are_left():
+    """Half of them are in the box of a road user that appears."""
+    flow, half = BackgroundFlow(), np.array([[0.0, 0, 160, 180]])
+    for k, boxes in enumerate((NO_BOXES, NO_BOXES, NO_BOXES, half)):
+        flow.add(image_at(110 - 2 * k), boxes, 0.01 * k)
+        flow.tracked(100, 0.01)
+        assert flow.is_between == (k == 2)
+
+
+def test_expected_corners_are_found_far_away():
+    """Two levels of the pyramid reach 20 px."""
+    flow = BackgroundFlow()
+    flow.add(image_at(160), NO_BOXES, 0.0)
+    flow.expect(flow.now.corners.points + np.array([60, 0], np.float32))
+    flow.add(image_at(100), NO_BOXES, 0.1)
+    before, now = flow.tracked(100, 0.01)
+    assert len(now) > 50
+    np.testing.assert_allclose(np.median(now - before, axis=0), [60, 0], atol=0.05)
