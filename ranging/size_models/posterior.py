@@ -33,6 +33,9 @@ IMPOSSIBLE = -1e9  # log probability of a body type that a box cannot have
 # variance of the log width of a box truncated at a side: the width carries no information
 _UNSEEN_VARIANCE = 1e4
 
+# smallest |V| as a fraction of v_h v_w: in single precision, that of a box whose height and width
+# depend on a single size may be 0 or less
+_MIN_DET = 1e-6
 N_TERMS = 24  # number of Gaussians per box: the most likely yaw bins and body types
 _N_GRID = 37  # number of points of the grid of log distance
 _GRID_SIGMAS = 4.5  # half width of the grid in standard deviations of the distance by size
@@ -180,12 +183,13 @@ def _all_terms(
     e -= _single(bearing_step[:, None]) * nodes.per_bearing
     V = nodes.variance
     V += _single(errors[:, :, None])
-    det = V[0] * V[1] - b * b
+    product = V[0] * V[1]
+    det = np.maximum(product - b * b, _MIN_DET * product)
     times_V = s_e * V[::-1] - s_e[:, ::-1] * b  # |V| V^-1 (s, e)
     g_det = times_V[0]
     g_s, g_e = s_e * g_det
     e_e = e * times_V[1]
-    p_det = g_s[0] + g_s[1] + _single(p0) * det
+    p_det = np.maximum(g_s[0] + g_s[1], 0.0) + _single(p0) * det
     p_x_det = g_e[0] + g_e[1] + _single(p0 * x0) * det
     x = p_x_det / p_det
     chi2 = (e_e[0] + e_e[1] - p_x_det * x) / det

@@ -93,6 +93,25 @@ def test_noise_of_the_box_is_a_part_of_the_variance() -> None:
     assert mixture_by_size(TABLES, quiet, body, none).frame_variance == pytest.approx(0, abs=1e-8)
 
 
+def test_sizes_that_depend_on_one_another() -> None:
+    """Height and width of the objects, and of boxes without noise, have a correlation of almost 1."""
+    van = replace(
+        PRIORS["van"],
+        log_sigma=(3.0, 3.0, 3.0),
+        correlation=(0.9999999,) * 3,
+        scatter=(1e-4, 1e-4),
+        bodies=(),
+    )
+    of = boxes(6)
+    exact = replace(of, edge_sigma=np.zeros((6, 2)), systematic_sigma=np.zeros((6, 2)))
+    mixture = mixture_by_size(
+        ShapeTables({"van": van}), exact, np.zeros((6, 1), np.int64), np.zeros((6, 1))
+    )
+    assert np.isfinite(mixture.mean).all()
+    assert (mixture.variance > 0).all()
+    np.testing.assert_allclose(mixture.weight.sum(axis=1), 1.0)
+
+
 @pytest.mark.parametrize(("n", "n_largest"), [(1, 3), (16, 24), (160, 24), (256, 5)])
 def test_columns_of_the_largest_values(n: int, n_largest: int) -> None:
     values = np.random.default_rng(n).normal(-20.0, 15.0, (50, n)).astype(np.float32)
