@@ -69,7 +69,7 @@ class EgoPath:
     def __init__(self) -> None:
         self._pose = EgoPose()
         self._velocity_mps = math.nan, math.nan
-        self._drive = np.array([1.0, 0.0])  # parts of the speed along the axis and to its right
+        self._drive = 1.0, 0.0  # parts of the speed along the axis and to its right
         self._P, self._J = np.zeros((3, 3)), np.zeros((3, 3))
         self._time_s = self._known_s = math.nan
 
@@ -87,16 +87,17 @@ class EgoPath:
             V, U = motion.speed_mps, motion.right_mps
         sigma, sigma_U = motion.speed_sigma_mps, motion.right_sigma_mps
         # at rest, the errors show the direction
-        parts = np.hypot([V, U], [sigma, sigma_U])
-        if np.linalg.norm(parts) > 0:  # False for NaN
-            self._drive = parts / np.linalg.norm(parts)
+        parts = math.hypot(V, sigma), math.hypot(U, sigma_U)
+        length = math.hypot(*parts)
+        if length > 0:  # False for NaN
+            self._drive = parts[0] / length, parts[1] / length
         if not math.isfinite(sigma):
             sigma, sigma_U = _UNKNOWN_SPEED_SIGMA * abs(V), _UNKNOWN_SPEED_SIGMA * abs(U)
         w, sigma_w = motion.yaw_rad_s, YAW_NOISE_RAD_S
         if math.isnan(w):
             w, sigma_w = 0.0, UNKNOWN_LATERAL_MPS2 / max(math.hypot(V, U), _MIN_SPEED_MPS)
         if motion.is_still:
-            V, U, sigma, sigma_U, w, sigma_w = np.zeros(6).tolist()
+            V = U = sigma = sigma_U = w = sigma_w = 0.0
         self._velocity_mps = V, U
         noise = min(motion.noise_mps, sigma)
         sigma = math.sqrt(sigma**2 - noise**2)
@@ -105,27 +106,31 @@ class EgoPath:
             return self._pose
         # a vehicle accelerates or brakes for seconds
         gap_mps = _GAP_MPS2 * (time_s - self._known_s)
-        sigma, sigma_U = (
-            math.hypot(one, gap_mps * part)
-            for one, part in zip((sigma, sigma_U), self._drive.tolist(), strict=True)
-        )
+        sigma = math.hypot(sigma, gap_mps * self._drive[0])
+        sigma_U = math.hypot(sigma_U, gap_mps * self._drive[1])
         psi = self._pose.heading_rad - w * dt / 2
-        along = np.array([math.cos(psi), math.sin(psi), 0.0])
-        right = np.array([along[1], -along[0], 0.0])
-        dx, dy, _ = ((V * along + U * right) * dt).tolist()
-        F = np.eye(3)
-        F[0, 2], F[1, 2] = -dy, dx
-        turn = np.array([dy / 2, -dx / 2, -1.0]) * dt  # d pose' / d w
+        c, s = math.cos(psi), math.sin(psi)  # right of the axis is (s, -c)
+        dx, dy = (V * c + U * s) * dt, (V * s - U * c) * dt
+        F = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
+        turn = dy / 2 * dt, -dx / 2 * dt, -dt  # d pose' / d w
         bias = 0.0 if motion.is_still else _YAW_BIAS_RAD_S
-        shared = np.stack([along * sigma * dt, right * sigma_U * dt, turn * bias], axis=1)
+        along_m, right_m = sigma * dt, sigma_U * dt
+        shared = [
+            [c * along_m, s * right_m, turn[0] * bias],
+            [s * along_m, -c * right_m, turn[1] * bias],
+            [0.0, 0.0, turn[2] * bias],
+        ]
         self._J = F @ self._J + shared
         new_m = noise * math.sqrt(_NOISE_S * dt)
-        turn_variance = sigma_w**2 * max(_CORRELATION_S / dt, 1.0) if dt > 0 else 0.0
-        self._P = (
-            F @ self._P @ F.T
-            + np.outer(turn, turn) * turn_variance
-            + np.outer(along, along) * new_m**2
+        turn_sigma = sigma_w * math.sqrt(max(_CORRELATION_S / dt, 1.0)) if dt > 0 else 0.0
+        new = np.array(
+            [
+                [turn[0] * turn_sigma, c * new_m],
+                [turn[1] * turn_sigma, s * new_m],
+                [turn[2] * turn_sigma, 0.0],
+            ]
         )
+        self._P = F @ self._P @ F.T + new @ new.T
         self._pose = EgoPose(
             self._pose.x_m + dx,
             self._pose.y_m + dy,

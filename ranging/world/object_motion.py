@@ -47,13 +47,14 @@ MotionState = Literal["parked", "moving", "oncoming", "crossing"]
 # codes: at rest, along the drive, against it, across
 MOTION_STATES: tuple[MotionState, ...] = get_args(MotionState)
 _PARKED = 0
-_PERSON = ROAD_CLASSES.index("person")
 # f, as in the collision warning: errors of filtered rates last longer than the filter assumes
 _RATE_FACTOR = 2.0
-_CROSSING, _WALKER_CROSSING = 0.1, 0.5  # c of vehicles and of people
+# (road classes,) c of vehicles and of people
+_CROSSING_OF_CLASS = np.array([0.5 if name == "person" else 0.1 for name in ROAD_CLASSES])
 _STOPPED = 0.1  # r
 _MIN_MOVING = 1e-3  # smallest q, against a division by zero
-_MOVING_MPS, _WALKING_MPS = 8.0, 1.5  # M of vehicles and of people
+# (road classes,) M of vehicles and of people
+_FREE_MPS = np.array([1.5 if name == "person" else 8.0 for name in ROAD_CLASSES])
 _ACROSS_MPS, _ALONG_FRACTION = 0.3, 0.75  # m, and the fraction of moving objects along the road
 
 _REST_SIGMA_MPS = STATIC_RATE_SIGMA_MPS  # of the speed of an object at rest, as in the filter
@@ -137,54 +138,58 @@ def over_ground(
     d, v, x = motion.state.x, motion.state.v, lateral.state
     V, sigma_V = ego.speed_mps, ego.speed_sigma_mps
     sigma_V = sigma_V if math.isfinite(sigma_V) else _UNKNOWN_EGO_SIGMA_MPS
+    yaw_rad_s = ego.yaw_rad_s if math.isfinite(ego.yaw_rad_s) else 0.0
     s2 = np.maximum(motion.ranges.sigma_m**2 - motion.state.P_xx, 0.0) / d**2
-    is_person = class_id == _PERSON
-    u, right = v + V - np.nan_to_num(ego.yaw_rad_s) * x.x, x.v
+    u, right = v + V - yaw_rad_s * x.x, x.v
     B = _RATE_FACTOR * x.P_vv + s2 * (right - ego.right_mps) ** 2 + ego.right_sigma_mps**2
 
     # Moments of u where the object moves along the axis.
-    q = np.maximum(
-        1.0 - (np.zeros_like(v) if motion.static is None else motion.static), _MIN_MOVING
-    )
+    static = np.zeros_like(v) if motion.static is None else motion.static
+    q = np.maximum(1.0 - static, _MIN_MOVING)
     u_M = u / q
     A = (motion.state.P_vv + u**2 - (1 - q) * (_REST_SIGMA_MPS**2 + sigma_V**2)) / q - u_M**2
     A = np.maximum(A, _REST_SIGMA_MPS**2) + s2 * (u_M - V) ** 2 + sigma_V**2
 
-    # Probabilities of rest, crossing and moving along.
-    M = np.where(is_person, _WALKING_MPS, _MOVING_MPS)
-    stopped = q * _STOPPED * np.exp(-_log_ratio(u_M, A, M))
-    c = np.where(is_person, _WALKER_CROSSING, _CROSSING)
-    log_m, log_M = _log_ratio(right, B, _ACROSS_MPS), _log_ratio(right, B, M)
+    # Probabilities of rest, and of moving along with a small or any speed across, and across only.
+    M2, c = _FREE_MPS[class_id] ** 2, _CROSSING_OF_CLASS[class_id]
+    m2 = np.full_like(M2, _ACROSS_MPS**2)
+    log_u, log_m, log_M = _log_ratio(
+        np.array([u_M, right, right]), np.array([A, B, B]), np.array([M2, m2, M2])
+    )
     largest = np.maximum(np.maximum(log_m, log_M), 0.0)  # against an overflow
-    L_m, L_M = np.exp(log_m - largest), np.exp(log_M - largest)
-    rest = ((1 - q) * (1 - c) + stopped) * np.exp(-largest)
-    # along the axis with a small or any speed across it, and across it only
-    parts = np.stack(
+    L_0, L_m, L_M, of_stopped = np.exp(
+        np.array([-largest, log_m - largest, log_M - largest, -log_u])
+    )
+    at_rest = ((1 - q) * (1 - c) + q * _STOPPED * of_stopped) * L_0
+    parts = np.array(
         [q * _ALONG_FRACTION * L_m, q * (1 - _ALONG_FRACTION) * L_M, (1 - q) * c * L_M]
     )
-    total = rest + parts.sum(axis=0)
-    rest, parts = rest / total, parts / total
-    shrink = np.stack([_ACROSS_MPS**2 / (_ACROSS_MPS**2 + B), *[M**2 / (M**2 + B)] * 2])
-    velocity = np.stack([u_M, u_M, 0 * u_M]), shrink * right
-    variances = np.stack([A, A, 0 * A + _REST_SIGMA_MPS**2]), shrink * B
+    total = at_rest + (parts[0] + parts[1] + parts[2])
+    at_rest, parts = at_rest / total, parts / total
+    shrink = np.array([m2 / (m2 + B), M2 / (M2 + B), M2 / (M2 + B)])
+    no_speed, rest_variance = np.zeros_like(u), np.full_like(u, _REST_SIGMA_MPS**2)
+    velocity = np.array([u_M, u_M, no_speed]), shrink * right
+    variances = np.array([A, A, rest_variance]), shrink * B
     directions = _directions(velocity, variances, axis_rad)
 
-    p = np.stack([rest, parts[2], parts[0] + parts[1]])
-    w = np.stack([np.zeros_like(u), np.abs(right), np.hypot(u_M, right)])
-    along_variance = (u_M**2 * A + right**2 * B) / np.maximum(w[2], 1e-6) ** 2
-    variance = np.stack([np.full_like(u, _REST_SIGMA_MPS**2), B, along_variance])
-    speed_mps = (p * w).sum(axis=0)
-    sigma_mps = np.sqrt((p * (variance + (w - speed_mps) ** 2)).sum(axis=0))
+    # The speed at rest, across and along, and its mean.
+    along_mps, across_mps = np.hypot(u_M, right), np.abs(right)
+    along_variance = (u_M**2 * A + right**2 * B) / np.maximum(along_mps, 1e-6) ** 2
+    along, across = parts[0] + parts[1], parts[2]
+    speed_mps = across * across_mps + along * along_mps
+    variance = (
+        at_rest * (rest_variance + speed_mps**2)
+        + across * (B + (across_mps - speed_mps) ** 2)
+        + along * (along_variance + (along_mps - speed_mps) ** 2)
+    )
+    sigma_mps = np.sqrt(variance)
     unknown = np.where(sigma_mps <= _MAX_SIGMA_MPS, 0.0, np.nan)  # NaN for a sigma of NaN
-    along_mps = u_M * p[2] / (p[1] + p[2])
-    heading_rad = np.where(rest <= 0.5, np.arctan2(-right, along_mps), np.nan)
+    u_moving = u_M * along / (across + along)
+    heading_rad = np.where(at_rest <= 0.5, np.arctan2(-right, u_moving), np.nan)
+    states = np.empty((len(MOTION_STATES), len(u)))
+    states[_PARKED], states[1:] = at_rest, (parts * directions).sum(axis=1)
     return OverGround(
-        speed_mps + unknown,
-        sigma_mps + unknown,
-        heading_rad + unknown,
-        np.vstack([rest, (parts * directions).sum(axis=1)]),
-        along_mps,
-        right,
+        speed_mps + unknown, sigma_mps + unknown, heading_rad + unknown, states, u_moving, right
     )
 
 
@@ -206,16 +211,18 @@ def _directions(
     # of the speed to the left, given the one forward
     left_sigma = np.sqrt(along_variance * right_variance / forward_variance)
     step = _NODES * np.sqrt(forward_variance)
-    at, left = forward + step, left + step * covariance / forward_variance
-    within = ndtr((np.abs(at) - left) / left_sigma) - ndtr((-np.abs(at) - left) / left_sigma)
+    at, left = forward + step, left + step * (covariance / forward_variance)
+    reach = np.abs(at)
+    within = ndtr((reach - left) / left_sigma) - ndtr((-reach - left) / left_sigma)
     within *= _NODE_WEIGHTS
-    ahead, against = (within * (at > 0)).sum(axis=0), (within * (at <= 0)).sum(axis=0)
-    return np.stack([ahead, against, 1.0 - ahead - against])
+    is_ahead = at > 0
+    ahead, against = (within * is_ahead).sum(axis=0), (within * ~is_ahead).sum(axis=0)
+    return np.array([ahead, against, 1.0 - ahead - against])
 
 
-def _log_ratio(rate: FloatArray, variance: FloatArray, sigma: FloatArray | float) -> FloatArray:
-    """(N,) log N(rate; variance + sigma^2) / N(rate; variance)."""
-    total = variance + sigma**2
+def _log_ratio(rate: FloatArray, variance: FloatArray, sigma2: FloatArray) -> FloatArray:
+    """Log N(rate; variance + sigma2) / N(rate; variance), in arrays of one shape."""
+    total = variance + sigma2
     return np.asarray((rate**2 * (1 / variance - 1 / total) - np.log(total / variance)) / 2)
 
 
@@ -268,17 +275,20 @@ class ObjectMotions:
         held = _STATES_MIXED + (before - _STATES_MIXED) * forgotten
         is_shown = np.isfinite(shown).all(axis=0)
         p = np.where(is_shown, shown, held)
-        best = np.nan_to_num(p).argmax(axis=0)
+        best = np.fmax(p, 0.0).argmax(axis=0)
         is_sure = is_shown & (p.max(axis=0) >= _SURE)
         target = np.where(is_sure, best, np.nan)
         since_s = np.where(target == pending, since_s, time_s)
         is_stated = is_sure & (time_s - since_s >= _HOLD_S - 1e-9)
         state = np.where(is_stated, target, last)
-        index = np.nan_to_num(state).astype(np.int64)
-        probability = np.take_along_axis(p, index[None], axis=0)[0]
-        is_kept = np.isfinite(state) & (probability >= _KEPT)
-        state, probability = np.where(is_kept, [state, probability], np.nan)
+        is_known = np.isfinite(state)
+        index = np.where(is_known, state, 0.0).astype(np.int64)
+        probability = p[index, np.arange(len(index))]
+        is_kept = is_known & (probability >= _KEPT)
+        state, probability = np.where(is_kept, np.array([state, probability]), np.nan)
+        columns[:-4] = p
+        for row, part in enumerate((state, target, since_s, time_s), start=len(p)):
+            columns[row] = part
         is_recent = time_s - self._tracks.known[-1] <= _MAX_GAP_S
-        new = np.vstack([p, state, target, since_s, np.full(len(state), time_s)])
-        self._tracks.put(track_id, new, keep_known=is_recent)
+        self._tracks.put(track_id, columns, keep_known=is_recent)
         return state, probability

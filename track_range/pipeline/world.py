@@ -19,6 +19,9 @@ from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.tracks import Tracks
 
 
+_BOX_NOISE = BoxNoise()
+
+
 @dataclass(frozen=True, slots=True)
 class World:
     """Positions and motion of the N tracks of a frame and of the camera; NaN = unknown."""
@@ -66,8 +69,10 @@ class WorldStage:
         `focal` has corrected.
         """
         pose, lateral = self._path.update(time_s, ego), filtered.lateral
+        camera = self._camera if focal.factor == 1.0 else focal.camera(self._camera)
+        rays = camera.rays((tracks.xyxy_px[:, :2] + tracks.xyxy_px[:, 2:]) / 2)
         if not self._is_ahead:  # the visible side is not at the depth of the centre
-            x_m = self._rays(tracks, focal)[:, 0] * filtered.fused.state.x
+            x_m = rays[:, 0] * filtered.fused.state.x
             lateral = replace(lateral, state=replace(lateral.state, x=x_m))
         motion = self._motions.update(
             tracks.track_id,
@@ -78,23 +83,14 @@ class WorldStage:
             ego=ego,
             pose=pose,
         )
-        return World(*self._points_m(tracks, ranges["fused"], focal), motion, pose)
-
-    def _rays(self, tracks: Tracks, focal: FocalScale) -> FloatArray:
-        """(N, 3) rays through the middles of the boxes."""
-        middle_px = (tracks.xyxy_px[:, :2] + tracks.xyxy_px[:, 2:]) / 2
-        return focal.camera(self._camera).rays(middle_px)
-
-    def _points_m(
-        self, tracks: Tracks, fused: Ranges, focal: FocalScale
-    ) -> tuple[FloatArray, FloatArray]:
-        """(N, 3) points where the rays of the boxes meet the objects, and (N, 2) the standard
-        deviations of their x and y: by the distance, and by the direction.
-        """
-        camera, rays = focal.camera(self._camera), self._rays(tracks, focal)
-        size_px = tracks.xyxy_px[:, 2:] - tracks.xyxy_px[:, :2]
-        edge_sigma_px = BoxNoise().sigma_px(size_px, tracks.class_id)
-        direction_px = np.hypot(edge_sigma_px / math.sqrt(2), self._centre_sigma_px)
-        direction = direction_px / np.array([camera.fx_px, camera.fy_px])
+        fused = ranges["fused"]
         distance_m, sigma_m = fused.distance_m[:, None], fused.sigma_m[:, None]
-        return rays * distance_m, np.hypot(rays[:, :2] * sigma_m, direction * distance_m)
+        direction = self._direction_sigma(tracks, camera)
+        xy_sigma_m = np.hypot(rays[:, :2] * sigma_m, direction * distance_m)
+        return World(rays * distance_m, xy_sigma_m, motion, pose)
+
+    def _direction_sigma(self, tracks: Tracks, camera: PinholeCamera) -> FloatArray:
+        """(N, 2) standard deviations of x and y of the rays through the middles of the boxes."""
+        size_px = tracks.xyxy_px[:, 2:] - tracks.xyxy_px[:, :2]
+        middle_px = _BOX_NOISE.sigma_px(size_px, tracks.class_id) / math.sqrt(2)
+        return np.hypot(middle_px, self._centre_sigma_px) / (camera.fx_px, camera.fy_px)
