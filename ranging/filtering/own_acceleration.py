@@ -20,11 +20,14 @@ def without_lag(
     In the steady state, a filter of constant speed is behind by e_v = a T and e_x = a T^2 / 2 with
     T = P_xx / P_xv; one that follows a part of a is behind by the rest.
     """
-    T = np.clip(motion.P_xx / np.maximum(motion.P_xv, 1e-9), 0.0, _MAX_LAG_S)
+    T = motion.P_xx / np.maximum(motion.P_xv, 1e-9)
+    T = np.minimum(np.maximum(T, 0.0), _MAX_LAG_S)
+    T2, lag_mps = T * T, missed_mps2 * T
+    variance_mps = variance * T2
     return ConstantVelocity(
-        motion.x + missed_mps2 * T * T / 2,
-        motion.v + missed_mps2 * T,
-        motion.P_xx + variance * T**4 / 4,
-        motion.P_xv + variance * T**3 / 2,
-        motion.P_vv + variance * T * T,
+        motion.x + lag_mps * T / 2,
+        motion.v + lag_mps,
+        motion.P_xx + variance_mps * T2 / 4,
+        motion.P_xv + variance_mps * T / 2,
+        motion.P_vv + variance_mps,
     )

@@ -123,13 +123,14 @@ _CUT_IN_HEADWAY_S = 0.6
 _MIN_CUT_IN_GAP_M = 3.0
 # a vehicle cuts in if it was beside the path and will be in it after this time, with at least this
 # probability, and draws away at most at this speed
-_CUT_IN_AHEAD_S, _CUT_IN_PROBABILITY, _MAX_CUT_IN_MPS = 1.0, 0.8, 1.5
+_CUT_IN_AHEAD_S, _CUT_IN_LOG_ODDS, _MAX_CUT_IN_MPS = 1.0, float(logit(0.8)), 1.5
 # standard deviations until contact: of the relative acceleration, and of the lateral acceleration of
 # people and of all other road users
 _ACCELERATION_MPS2, _PERSON_ACCELERATION_MPS2, _VEHICLE_ACCELERATION_MPS2 = 0.4, 0.2, 0.15
 # prior standard deviations of the lateral speed relative to the ego path: of vehicles, static
 # objects, oncoming vehicles and people
 _LATERAL_MPS, _STATIC_LATERAL_MPS, _ONCOMING_LATERAL_MPS = 1.0, 0.15, 0.3
+_VEHICLE_LATERAL_MPS = np.array([[_STATIC_LATERAL_MPS], [_ONCOMING_LATERAL_MPS], [_LATERAL_MPS]])
 _PERSON_LATERAL_MPS = 1.5
 # the same along the road, of the people of KITTI: the largest likelihood of two fits is at 0.9 and
 # 1.05 (without any one of the ten sequences 0.7 to 1.1, of the even ones, with 9 % of the boxes, 0.2)
@@ -313,9 +314,12 @@ class CollisionWarning:
         moving, gap, offset = self._position(is_person, motion, own, state, lateral.state)
         half_m, spread_m = _half_widths(tracks.class_id, lateral.half_width_m, own.x, offset.v)
         half_width_m = half_m + settings.ego_width_m / 2
-        is_beside = np.abs(offset.x) > half_width_m + _BESIDE_SIGMA * np.sqrt(offset.P_xx)
+        offset_sigma_m = np.sqrt(offset.P_xx)
+        is_beside = np.abs(offset.x) > half_width_m + _BESIDE_SIGMA * offset_sigma_m
         beside_s = np.where(is_known & is_beside, time_s, last.beside_s)
-        extent = replace(offset, P_xx=offset.P_xx + spread_m**2)
+        extent = ConstantVelocity(
+            offset.x, offset.v, offset.P_xx + spread_m**2, offset.P_xv, offset.P_vv
+        )
         objects = _Objects(is_person, moving, gap, extent, half_width_m, time_s - beside_s)
         can_collide = lateral.is_current & _CAN_COLLIDE[tracks.class_id]
         is_usable = is_known & can_collide & _is_plausible(objects)
@@ -333,7 +337,7 @@ class CollisionWarning:
         free = _free_motion(ranges, last, time_s)
         is_refuted = free.v - gap.v > _CONFIRMED_SIGMA * np.sqrt(free.P_vv)  # False for NaN
         may_start = self._may_start(objects, log_odds, needed_mps2)
-        may_start |= cut_in >= logit(_CUT_IN_PROBABILITY)
+        may_start |= cut_in >= _CUT_IN_LOG_ODDS
         may_end = ~(probability >= settings.off_probability)  # True for NaN
         active, since_s = self._alarm(last, time_s, may_start & is_usable & ~is_refuted, may_end)
 
@@ -351,7 +355,7 @@ class CollisionWarning:
         )
         known_s = _WarningState._make(self._tracks.known).known_s
         self._tracks.put(tracks.track_id, np.array(new), keep_known=time_s - known_s <= _MAX_GAP_S)
-        return Warnings(probability, active, offset.x, np.sqrt(offset.P_xx))
+        return Warnings(probability, active, offset.x, offset_sigma_m)
 
     def _position(
         self,
@@ -366,7 +370,7 @@ class CollisionWarning:
         scale.
         """
         moves, scale_variance = self._moving(motion), _scale_variance(motion)
-        moving = replace(own, v=moves * own.v, P_vv=moves * own.P_vv)
+        moving = ConstantVelocity(own.x, moves * own.v, own.P_xx, own.P_xv, moves * own.P_vv)
         gap = without_lag(state, moving.v - motion.own_mps2, moving.P_vv)
         gap = _with_scale(gap, scale_variance, moving=moves)
         offset = self._offset(is_person, gap, _with_scale(x, scale_variance), moves)
@@ -398,7 +402,8 @@ class CollisionWarning:
         `is_known` (N,) is whether their distances are known.
         """
         predicted = last.own.predict(time_s - last.time_s, q=_JERK_NOISE**2)
-        predicted = replace(predicted, x=predicted.x + self._ego.change_mps)
+        if self._ego.change_mps:
+            predicted = replace(predicted, x=predicted.x + self._ego.change_mps)
         u, R = measured.v + self._ego.speed_mps, _RATE_FACTOR * measured.P_vv
         nu = u - predicted.x
         is_stale = ~(time_s - last.known_s <= _MAX_GAP_S)
@@ -406,9 +411,7 @@ class CollisionWarning:
         starts = is_known & (is_stale | ~is_same)
         state = predicted.update(nu, R, valid=is_known)
         if starts.any():
-            zero = np.zeros_like(u)
-            initial = (u, zero, R, zero, zero + _INITIAL_ACCELERATION_MPS2**2)
-            state = ConstantVelocity(*np.where(starts, initial, state.columns))
+            state = _started(starts, u, R, _INITIAL_ACCELERATION_MPS2**2, state)
         return state, starts
 
     def _may_start(
@@ -457,7 +460,8 @@ class CollisionWarning:
         motion is not usable.
         """
         settings = self.settings
-        predicted = np.where(is_usable, np.zeros((2, len(is_usable))), np.nan)
+        predicted = np.zeros((2, len(is_usable)))
+        predicted[:, ~is_usable] = np.nan
         needed_mps2 = np.zeros(len(is_usable))
         near_m = _CUT_IN_HEADWAY_S * self._ego.speed_mps
         is_near = objects.gap.x - settings.front_m < near_m
@@ -485,13 +489,14 @@ class CollisionWarning:
             ConstantVelocity(*np.array(state.columns).take(rows, axis=1))
             for state in (objects.gap, objects.offset)
         )
+        gap = ConstantVelocity(gap.x - settings.front_m, *gap.columns[1:])
         u, u_change = gap.v + ego.speed_mps, own.v[rows]
         stops_s = np.full(len(rows) + 1, np.inf)
         if ego.has_speed:
             changes = np.append(u_change, ego.acceleration_mps2)
             stops_s = stop_s(np.append(u, ego.speed_mps), changes, MANOEUVRE_S)
         return Encounter(
-            gap=replace(gap, x=gap.x - settings.front_m),
+            gap=gap,
             object_mps=u,
             object_mps2=u_change,
             # people need no time to stop or start
@@ -521,25 +526,23 @@ class CollisionWarning:
         """
         ego, w, V = self._ego, self._ego.yaw, self._ego.path_mps
         T = np.maximum(gap.x, 0.0) / V
+        T2 = T * T
+        T3, T4 = T2 * T, T2 * T2
         u = gap.v + ego.speed_mps if ego.has_speed else np.zeros_like(gap.v)
         turning = u if ego.has_yaw else gap.v
         P_ww, P_wa, P_aa, q = w.P_xx, w.P_xv, w.P_vv, ego.yaw_noise
         offset = ConstantVelocity(
-            x.x - V * T * T * (w.x / 2 + T * w.v / 6),
+            x.x - V * T2 * (w.x / 2 + T * w.v / 6),
             x.v - T * (w.x + T * w.v / 2) * u,
-            x.P_xx + V * V * T**4 * (P_ww / 4 + T * (P_wa / 6 + T * (P_aa / 36 + T * (q / 252)))),
+            x.P_xx + V * V * T4 * (P_ww / 4 + T * (P_wa / 6 + T * (P_aa / 36 + T * (q / 252)))),
             x.P_xv
-            + V
-            * T**3
-            * (P_ww / 2 + T * (5 * P_wa / 12 + T * (P_aa / 12 + T * (q / 72))))
-            * turning,
-            x.P_vv + T * T * (P_ww + T * (P_wa + T * (P_aa / 4 + T * (q / 20)))) * turning**2,
+            + V * T3 * (P_ww / 2 + T * (5 * P_wa / 12 + T * (P_aa / 12 + T * (q / 72)))) * turning,
+            x.P_vv + T2 * (P_ww + T * (P_wa + T * (P_aa / 4 + T * (q / 20)))) * turning**2,
         )
         # Prior of the rate: of static, oncoming and other vehicles; people may all cross.
         oncoming = moves * ndtr(-u / np.sqrt(gap.P_vv)) if ego.has_speed else np.zeros_like(u)
         weights = np.array([1.0 - moves, oncoming, moves - oncoming])
-        sigmas_mps = np.array([[_STATIC_LATERAL_MPS], [_ONCOMING_LATERAL_MPS], [_LATERAL_MPS]])
-        sigmas_mps = np.where(is_person, _PERSON_LATERAL_MPS, sigmas_mps)
+        sigmas_mps = np.where(is_person, _PERSON_LATERAL_MPS, _VEHICLE_LATERAL_MPS)
         free_mps = np.where(is_person, _FREE_PERSON_MPS, _FREE_LATERAL_MPS)
         return _with_rate(offset, 0.0, sigmas_mps, free_mps, weights)
 
@@ -585,7 +588,8 @@ def _half_widths(
 def _is_plausible(objects: _Objects) -> BoolArray:
     """(N,) whether the motion is one that road users have, and known well enough."""
     own, gap = objects.own, objects.gap
-    most_mps = np.clip(_MAX_CLOSING_FRACTION * np.abs(gap.v), *_MAX_CLOSING_SIGMA_MPS)
+    least_mps, largest_mps = _MAX_CLOSING_SIGMA_MPS
+    most_mps = np.minimum(np.maximum(_MAX_CLOSING_FRACTION * np.abs(gap.v), least_mps), largest_mps)
     most_lateral_mps = np.where(objects.is_person, _MAX_RUNNING_MPS, _MAX_LATERAL_MPS)
     is_certain = gap.P_vv <= most_mps**2
     is_along = (np.abs(own.x) < _MAX_SPEED_MPS) & (np.abs(own.v) < _MAX_ACCELERATION_MPS2)
@@ -605,11 +609,13 @@ def _with_scale(
     objects are `moving`.
     """
     x, v = state.x, state.v
-    return replace(
-        state,
+    of_rates = moving * variance
+    return ConstantVelocity(
+        x=x,
+        v=v,
         P_xx=state.P_xx + variance * x**2,
-        P_xv=state.P_xv + moving * variance * x * v,
-        P_vv=state.P_vv + moving * variance * v**2,
+        P_xv=state.P_xv + of_rates * x * v,
+        P_vv=state.P_vv + of_rates * v**2,
     )
 
 
@@ -619,9 +625,18 @@ def _free_motion(ranges: Ranges | None, last: _WarningState, time_s: float) -> C
     if ranges is None:
         return state
     z, R = ranges.distance_m, ranges.sigma_m**2
-    initial = np.broadcast_arrays(z, 0.0, R, 0.0, _FREE_SIGMA_MPS**2)
     updated = state.update(z - state.x, R, valid=np.isfinite(z))
-    return ConstantVelocity(*np.where(np.isnan(state.x), initial, updated.columns))
+    is_new = np.isnan(state.x)
+    return _started(is_new, z, R, _FREE_SIGMA_MPS**2, updated) if is_new.any() else updated
+
+
+def _started(
+    starts: BoolArray, x: FloatArray, P_xx: FloatArray, P_vv: float, state: ConstantVelocity
+) -> ConstantVelocity:
+    """The states, of which some start at x with the rate 0 and these variances."""
+    zero = np.zeros_like(x)
+    first = np.array([x, zero, P_xx, zero, zero + P_vv])
+    return ConstantVelocity(*np.where(starts, first, np.array(state.columns)))
 
 
 def _with_rate(
@@ -638,18 +653,23 @@ def _with_rate(
     R = np.array([*sigmas_mps, free_mps]) ** 2
     S = state.P_vv + R
     nu = rate_mps - state.v
-    free = np.full_like(state.v, _FREE_FRACTION)
-    prior = np.array([*((1.0 - _FREE_FRACTION) * weights), free])
+    prior = np.empty_like(S)
+    prior[:-1], prior[-1] = (1.0 - _FREE_FRACTION) * weights, _FREE_FRACTION
     likelihood = prior * np.exp(-nu * nu / (2.0 * S)) / np.sqrt(S)
-    w = likelihood / np.maximum(likelihood.sum(axis=0), 1e-300)
+    w = likelihood / np.maximum(np.add.reduce(likelihood), 1e-300)
     K_x, K_v = state.P_xv / S, state.P_vv / S
     x, v = state.x + K_x * nu, state.v + K_v * nu
-    mean_x, mean_v = (w * x).sum(axis=0), (w * v).sum(axis=0)
+    mean_x, mean_v = np.add.reduce(w * np.array([x, v]), axis=1)
     dx, dv = x - mean_x, v - mean_v
-    return ConstantVelocity(
-        x=mean_x,
-        v=mean_v,
-        P_xx=(w * (state.P_xx - K_x * state.P_xv + dx * dx)).sum(axis=0),
-        P_xv=(w * (state.P_xv - K_x * state.P_vv + dx * dv)).sum(axis=0),
-        P_vv=(w * (state.P_vv - K_v * state.P_vv + dv * dv)).sum(axis=0),
+    P_xx, P_xv, P_vv = np.add.reduce(
+        w
+        * np.array(
+            [
+                state.P_xx - K_x * state.P_xv + dx * dx,
+                state.P_xv - K_x * state.P_vv + dx * dv,
+                state.P_vv - K_v * state.P_vv + dv * dv,
+            ]
+        ),
+        axis=1,
     )
+    return ConstantVelocity(mean_x, mean_v, P_xx, P_xv, P_vv)

@@ -25,6 +25,7 @@ it, b = o'^2 / 2 (|o| - W). People seldom do once they walk.
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.special import expit, ndtr
@@ -71,31 +72,35 @@ def contact_probability(
     time of passing.
     """
     gap, offset = encounter.gap, encounter.offset
-    t: FloatArray = horizon_s / _N_STEPS * np.arange(_N_STEPS + 1, dtype=np.float64)[:, None]
-    h = manoeuvre(t, manoeuvre_s)
+    t, h, middle_s = _times(horizon_s, manoeuvre_s)
     moving_s, ego_s = np.minimum(t, encounter.object_stop_s), np.minimum(t, encounter.ego_stop_s)
+    of_ego_m = encounter.ego_mps * (t - ego_s) - encounter.ego_mps2 * manoeuvre(ego_s, manoeuvre_s)
     m = gap.x + t * gap.v
-    m += encounter.object_mps2 * manoeuvre(moving_s, manoeuvre_s) - encounter.object_mps * (
-        t - moving_s
-    )
-    m += encounter.ego_mps * (t - ego_s) - encounter.ego_mps2 * manoeuvre(ego_s, manoeuvre_s)
-    variance = (
-        gap.P_xx + t * (2 * gap.P_xv + t * gap.P_vv) + (h * encounter.acceleration_sigma_mps2) ** 2
-    )
+    m += encounter.object_mps2 * manoeuvre(moving_s, manoeuvre_s)
+    m -= encounter.object_mps * (t - moving_s)
+    m += of_ego_m
+    variance = gap.P_xx + t * (2 * gap.P_xv + t * gap.P_vv)
+    variance += (h * encounter.acceleration_sigma_mps2) ** 2
     F = ndtr(-m / np.sqrt(np.maximum(variance, _MIN_SIGMA**2)))
     F = np.maximum.accumulate(F, axis=0)
 
-    t = (t[1:] + t[:-1]) / 2
     passing_s = ego_length_m / np.maximum(-gap.v, ego_length_m)  # at most 1 s
     overlap = overlap_probability(
         offset,
         encounter.half_width_m,
         encounter.lateral_acceleration_mps2,
-        t,
+        middle_s,
         side_m=offset.v * passing_s,
     )
-    probability = np.diff(F, axis=0) * overlap
+    probability = (F[1:] - F[:-1]) * overlap
     return np.asarray(probability.sum(axis=0) + F[0] * overlap[0])
+
+
+@cache
+def _times(horizon_s: float, manoeuvre_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Times t (K + 1, 1) of the integral, h(t), and the middles (K, 1) of its steps."""
+    t: FloatArray = horizon_s / _N_STEPS * np.arange(_N_STEPS + 1, dtype=np.float64)[:, None]
+    return t, manoeuvre(t, manoeuvre_s), (t[1:] + t[:-1]) / 2
 
 
 def yielding_probability(encounter: Encounter) -> FloatArray:

@@ -41,6 +41,7 @@ _MIN_OWN_MPS = -2.0
 # width of a lane; standard deviation of the ego path from the middle of its lane
 _LANE_M, _LANE_SIGMA_M = 3.5, 0.3
 _USUAL = WarningSettings()  # of a usual car
+_LANES = np.array([[-1.0], [0.0], [1.0]])
 MAX_GAP_S = 1.0  # longest interruption of a track that counts for TET and TIT
 # (road classes,) half the typical width, m
 HALF_WIDTH_M = np.array([0.3, 0.3, 0.9, 0.4, 1.25, 1.25, 0.0, 0.0])
@@ -173,10 +174,11 @@ class SafetyMonitor:
         """TET and TIT (N,) of the tracks so far."""
         below_s = TTC_LIMIT_S - ttc_s
         tet_s, tit_s2, last_s = self._tracks.get(track_id)
-        dt = np.where(time_s - last_s <= MAX_GAP_S, time_s - last_s, 0.0)
+        elapsed_s = time_s - last_s
+        dt = np.where(elapsed_s <= MAX_GAP_S, elapsed_s, 0.0)
         tet_s = tet_s + dt * (below_s > 0)
         tit_s2 = tit_s2 + dt * np.fmax(below_s, 0.0)
-        state = np.stack([tet_s, tit_s2, np.full(len(dt), time_s)])
+        state = np.array([tet_s, tit_s2, np.full(len(dt), time_s)])
         is_recent = time_s - self._tracks.known[2] <= MAX_GAP_S
         self._tracks.put(track_id, state, keep_known=is_recent)
         return tet_s, tit_s2
@@ -211,13 +213,14 @@ def _lane_index(
     deviation.
     """
     left_m, right_m = edges_m or (-_LANE_M / 2, _LANE_M / 2)
-    sigma_m = np.hypot(0.0 if sigma_m is None else np.nan_to_num(sigma_m), _LANE_SIGMA_M)
-    limits = np.array([2 * left_m - right_m, left_m, right_m, 2 * right_m - left_m])[:, None]
-    p = np.diff(ndtr((limits - offset_m) / sigma_m), axis=0)
+    own_sigma_m = np.zeros_like(offset_m) if sigma_m is None else np.fmax(sigma_m, 0.0)
+    total_sigma_m = np.hypot(own_sigma_m, _LANE_SIGMA_M)
+    limits = np.array([[2 * left_m - right_m], [left_m], [right_m], [2 * right_m - left_m]])
+    below = ndtr((limits - offset_m) / total_sigma_m)
+    p = below[1:] - below[:-1]
     index, total = p.argmax(axis=0) - 1.0, p.sum(axis=0)
     is_known = total > 0.5  # False for NaN
-    lanes = np.arange(-1.0, 2.0)[:, None]
-    variance = (p * (lanes - index) ** 2).sum(axis=0) / np.where(is_known, total, 1.0)
+    variance = (p * (_LANES - index) ** 2).sum(axis=0) / np.where(is_known, total, 1.0)
     return np.where(is_known, index, np.nan), np.where(is_known, np.sqrt(variance), np.nan)
 
 

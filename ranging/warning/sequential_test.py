@@ -46,6 +46,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 CORRELATION_S = 0.3
 # log odds l_0 of a contact of a road user of which nothing is known
 PRIOR_LOG_ODDS = -5.0
+_PRIOR = float(expit(PRIOR_LOG_ODDS))
 # largest log odds of one frame: motions that no model describes have at least this probability
 _MOST_LOG_ODDS = 6.0
 # alpha and beta, of the largest likelihood on drives without images (seeds 0 to 6 and 200 to 206),
@@ -63,10 +64,11 @@ def posterior(last: FloatArray, probability: FloatArray, dt: FloatArray) -> Floa
     `last` are the log odds before, NaN = a new track; `dt` is the time since then. Where p is NaN,
     nothing was predicted, and the log odds return to those of any road user.
     """
-    evidence = logit(np.where(np.isnan(probability), expit(PRIOR_LOG_ODDS), probability))
-    evidence = np.clip(evidence, -_MOST_LOG_ODDS, _MOST_LOG_ODDS)
-    before = np.where(np.isnan(last), PRIOR_LOG_ODDS, last)
-    weight = -np.expm1(-np.where(np.isnan(last), 0.0, dt) / CORRELATION_S)
+    evidence = logit(np.where(np.isnan(probability), _PRIOR, probability))
+    evidence = np.minimum(np.maximum(evidence, -_MOST_LOG_ODDS), _MOST_LOG_ODDS)
+    is_new = np.isnan(last)
+    before = np.where(is_new, PRIOR_LOG_ODDS, last)
+    weight = -np.expm1(-np.where(is_new, 0.0, dt) / CORRELATION_S)
     return np.asarray(before + weight * (evidence - before))
 
 
