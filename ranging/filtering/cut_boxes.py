@@ -56,11 +56,12 @@ class CutBoxes:
     @classmethod
     def of(cls, tracks: Tracks, camera: PinholeCamera) -> CutBoxes:
         """The boxes of the tracks, in the pixels of `camera`; predicted boxes are not cut."""
-        left, right = edges = (tracks.xyxy_px[:, ::2].T - camera.cx_px) / camera.fx_px
-        middle = edges.mean(axis=0)
+        left, right = (tracks.xyxy_px[:, ::2].T - camera.cx_px) / camera.fx_px
+        middle = (left + right) / 2
         at_left, at_right = sides_cut(tracks, camera)
-        is_cut = np.where(middle < 0, at_left & ~at_right, at_right & ~at_left) & tracks.observed
-        b_f, b = np.where(middle < 0, -right, left), np.maximum(np.abs(middle), _LEAST)
+        is_left = middle < 0
+        is_cut = (at_left ^ at_right) & np.where(is_left, at_left, at_right) & tracks.observed
+        b_f, b = np.where(is_left, -right, left), np.maximum(np.abs(middle), _LEAST)
         q = np.where(b_f > 0, 1 - b_f / b, 0.0)
         edge_sigma = _EDGE_SIGMA_PX / camera.fx_px + _EDGE_SIGMA_FRACTION * (right - left)
         return cls(is_cut, q, edge_sigma / b, LENGTH_M[tracks.class_id], middle)

@@ -138,7 +138,7 @@ class DistanceFilters:
             observation: what else the frame shows of the tracks.
             ego: motion of the camera; NaN = unknown.
         """
-        if by_method.keys().isdisjoint(self._fractions):
+        if not any(name in self._fractions for name in by_method):
             return {}
         track_id = next(iter(by_method.values())).track_id
         bank = self._new.of_tracks(self._tracks.get(track_id))

@@ -19,6 +19,7 @@ at the same time: boxes that are cut have no key frame.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -122,22 +123,21 @@ class FilterBank:
         """The filters with this state, which is not copied."""
         self.models, self.settings, self.rows = models, settings, rows
         M, G, N = models.n_methods, models.n_models, rows.shape[-1]
-        ends = np.cumsum(_row_counts(M, G)).tolist()
-        states, model_rows, side, history, last = np.split(rows, ends[:-1])
-        self.states = TargetStates(states.reshape(N_STATES, N_STATES + 1, M, G, N))
+        ends = _row_ends(M, G)
+        self.states = TargetStates(rows[: ends[0]].reshape(N_STATES, N_STATES + 1, M, G, N))
         # probabilities of the models, 0 = new track; V of the last frame, see `EgoStep`, NaN =
         # unknown
-        self.weight, self.ego_mps = model_rows.reshape(2, M, G, N)
-        self.side = SideState(*side.reshape(len(SideState._fields), M, G, N))
-        self.history = History(*history.reshape(len(History._fields), M, 1, N))
-        self.last = LastFrame(*last)
+        self.weight, self.ego_mps = rows[ends[0] : ends[1]].reshape(2, M, G, N)
+        self.side = SideState(*rows[ends[1] : ends[2]].reshape(len(SideState._fields), M, G, N))
+        self.history = History(*rows[ends[2] : ends[3]].reshape(len(History._fields), M, 1, N))
+        self.last = LastFrame(*rows[ends[3] :])
         # relative variance of d by the noise of the free edges of this frame's boxes
         self.edge_variance: FloatArray | float = 0.0
 
     @classmethod
     def new(cls, models: InteractingModels, settings: FilterSettings) -> FilterBank:
         """Filters of one track without a measurement."""
-        n_rows = sum(_row_counts(models.n_methods, models.n_models))
+        n_rows = _row_ends(models.n_methods, models.n_models)[-1]
         bank = cls(models, settings, np.zeros((n_rows, 1)))
         bank.states.x[[0, 1, 3]] = np.nan
         bank.ego_mps[...] = np.nan
@@ -365,8 +365,12 @@ class FilterBank:
         self.ego_mps[...] = step.ego.speed_mps
 
 
-def _row_counts(M: int, G: int) -> tuple[int, int, int, int, int]:
-    """Numbers of rows of the parts of the state of a `FilterBank`."""
+@cache
+def _row_ends(M: int, G: int) -> tuple[int, int, int, int, int]:
+    """Ends of the rows of `states`, `weight` and `ego_mps`, `side`, `history` and `last`."""
     n = M * G
-    n_side, n_history = len(SideState._fields) * n, len(History._fields) * M
-    return N_STATES * (N_STATES + 1) * n, 2 * n, n_side, n_history, len(LastFrame._fields)
+    states = N_STATES * (N_STATES + 1) * n
+    models = states + 2 * n
+    side = models + len(SideState._fields) * n
+    history = side + len(History._fields) * M
+    return states, models, side, history, history + len(LastFrame._fields)

@@ -32,7 +32,7 @@ track has a distance d with the rate v, they are filtered first, at the distance
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -81,7 +81,7 @@ def sides_cut(tracks: Tracks, camera: PinholeCamera) -> BoolArray:
     """(2, N) whether the left, and the right, image border cuts the boxes of the tracks."""
     x1_px, y1_px, x2_px, y2_px = tracks.xyxy_px.T
     border_px = _BORDER_PX + _BORDER_FRACTION * (y2_px - y1_px)
-    return np.stack([x1_px <= border_px, x2_px >= camera.width_px - 1 - border_px])
+    return np.array([x1_px <= border_px, x2_px >= camera.width_px - 1 - border_px])
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,41 +221,49 @@ class LateralFilters:
         unknown; `own_mps` (N,) the objects' own speed z' + V, 0 = unknown; `right_mps` the camera's
         speed U to the right of its axis, NaN = unknown.
         """
-        x, sigma_m, half_width_m, is_whole = self._measured(tracks, distance_m)
+        is_cut = sides_cut(tracks, self._camera)
+        x, sigma_m, half_width_m, is_whole = self._measured(tracks, distance_m, is_cut)
         R = sigma_m**2 + (x * distance_sigma_m / distance_m) ** 2
         valid = tracks.observed & is_whole & np.isfinite(x)
 
         last = _LateralState._make(self._tracks.get(tracks.track_id))
-        is_stale = ~(time_s - last.measured_s <= _MAX_GAP_S)
+        since_s = time_s - last.measured_s
+        is_stale = ~(since_s <= _MAX_GAP_S)
         dt = time_s - last.time_s
         state = ConstantVelocity(*last[:5]).predict(dt, q=_ACCELERATION_NOISE**2)
-        turned = np.nan_to_num(yaw_rad_s) * dt
-        moved_m = turned * np.nan_to_num(distance_m) + np.nan_to_num(right_mps) * dt
-        state = replace(state, x=state.x - moved_m, v=state.v - np.nan_to_num(turned * own_mps))
+        turned = (yaw_rad_s if math.isfinite(yaw_rad_s) else 0.0) * dt
+        moved_m = turned * np.where(np.isnan(distance_m), 0.0, distance_m)
+        moved_m += (right_mps if math.isfinite(right_mps) else 0.0) * dt
+        turned_mps = turned * own_mps
+        turned_mps[np.isnan(turned_mps)] = 0.0
+        state = ConstantVelocity(
+            state.x - moved_m, state.v - turned_mps, state.P_xx, state.P_xv, state.P_vv
+        )
         innovation = x - state.x
         is_in_gate = ~is_stale & (innovation**2 < _GATE_SIGMA**2 * (state.P_xx + R))
-        is_measured, starts = (
-            valid & is_in_gate,
-            valid & ~is_in_gate & ~(time_s - last.measured_s < _OUTSIDE_S),
-        )
+        is_measured = valid & is_in_gate
+        starts = valid & ~is_in_gate & ~(since_s < _OUTSIDE_S)
         state = state.update(innovation, R, valid=is_measured)
 
-        initial = np.array([x, 0 * x, R, 0 * x, 0 * x + _INITIAL_RATE_SIGMA_MPS**2])
-        state = ConstantVelocity(
-            *np.where(starts, initial, np.where(is_stale, np.nan, np.array(state.columns)))
-        )
+        columns = np.array(state.columns)
+        columns[:, is_stale] = np.nan
+        if starts.any():
+            zero = 0 * x
+            initial = np.array([x, zero, R, zero, zero + _INITIAL_RATE_SIGMA_MPS**2])
+            columns = np.where(starts, initial, columns)
         measured_s = np.where(is_measured | starts, time_s, last.measured_s)
-        new = _LateralState(*state.columns, np.full(len(tracks), time_s), measured_s)
-        known_s = _LateralState._make(self._tracks.known).measured_s
-        self._tracks.put(tracks.track_id, np.array(new), keep_known=time_s - known_s <= _MAX_GAP_S)
-        is_cut = sides_cut(tracks, self._camera).any(axis=0)
-        return LateralMotion(state, half_width_m, ~is_cut | (time_s - measured_s <= _MAX_CUT_S))
+        new = np.empty((len(_LateralState._fields), len(tracks)))
+        new[:5], new[5], new[6] = columns, time_s, measured_s
+        known_s = self._tracks.known[-1]
+        self._tracks.put(tracks.track_id, new, keep_known=time_s - known_s <= _MAX_GAP_S)
+        is_current = ~is_cut.any(axis=0) | (time_s - measured_s <= _MAX_CUT_S)
+        return LateralMotion(ConstantVelocity(*columns), half_width_m, is_current)
 
     def _measured(
-        self, tracks: Tracks, distance_m: FloatArray
+        self, tracks: Tracks, distance_m: FloatArray, is_cut: BoolArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
         """Lateral position of the centre, its standard deviation, half the width in m, and whether
-        a box is whole.
+        a box is whole, by the sides (2, N) at which it `is_cut`.
         """
         left_px, right_px = edges_px = tracks.xyxy_px[:, ::2].T
         left, right = (edges_px - self._camera.cx_px) / self._camera.fx_px
@@ -268,7 +276,6 @@ class LateralFilters:
             * d
             / self._camera.fx_px
         )
-        is_cut = sides_cut(tracks, self._camera)
         if self._drive is not None:
             x_m, half_m = _beside(left, right, d, tracks.class_id, is_cut, self._drive)
             sigma_m = np.hypot(sigma_m, _HALF_SIGMA * half_m * is_cut.any(axis=0))

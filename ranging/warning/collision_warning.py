@@ -493,8 +493,10 @@ class CollisionWarning:
         u, u_change = gap.v + ego.speed_mps, own.v[rows]
         stops_s = np.full(len(rows) + 1, np.inf)
         if ego.has_speed:
-            changes = np.append(u_change, ego.acceleration_mps2)
-            stops_s = stop_s(np.append(u, ego.speed_mps), changes, MANOEUVRE_S)
+            speeds, changes = np.empty((2, len(rows) + 1))
+            speeds[:-1], speeds[-1] = u, ego.speed_mps
+            changes[:-1], changes[-1] = u_change, ego.acceleration_mps2
+            stops_s = stop_s(speeds, changes, MANOEUVRE_S)
         return Encounter(
             gap=gap,
             object_mps=u,

@@ -154,7 +154,7 @@ class SafetyMonitor:
         # The lead: the nearest vehicle ahead that does not come towards the ego vehicle.
         is_lead = is_on_path & _IS_VEHICLE[class_id] & np.isfinite(gap_m)
         is_lead &= ~(ego_mps - closing_mps < _MIN_OWN_MPS)
-        is_lead &= gap_m == np.min(gap_m, initial=np.inf, where=is_lead)
+        is_lead &= gap_m == np.where(is_lead, gap_m, np.inf).min(initial=np.inf)
         return SafetyMeasures(
             gap_m=gap_m,
             ttc_front_s=ttc_s,

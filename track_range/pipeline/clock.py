@@ -1,8 +1,7 @@
 """StageClock: time spent in each stage of a run."""
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from threading import Lock
 
 from track_range.ranging.methods.method import FIRST_STAGES, LAST_STAGES
@@ -28,17 +27,27 @@ class StageClock:
         self.busy_s = dict.fromkeys(stage_names(), 0.0)  # seconds so far, by stage
         self._lock = Lock()
 
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
+    def stage(self, name: str) -> AbstractContextManager[None]:
         """Add the time of the with-block to a stage."""
-        now_s = time.perf_counter if name in _WALL_TIMED else time.thread_time
-        start_s = now_s()
-        try:
-            yield
-        finally:
-            self.add(name, now_s() - start_s)
+        return _Stage(self, name)
 
     def add(self, name: str, seconds: float) -> None:
         """Add seconds that were measured elsewhere to a stage."""
         with self._lock:
             self.busy_s[name] = self.busy_s.get(name, 0.0) + seconds
+
+
+class _Stage(AbstractContextManager[None]):
+    """The time of one with-block."""
+
+    __slots__ = ("_clock", "_name", "_now_s", "_start_s")
+
+    def __init__(self, clock: StageClock, name: str) -> None:
+        self._clock, self._name = clock, name
+        self._now_s = time.perf_counter if name in _WALL_TIMED else time.thread_time
+
+    def __enter__(self) -> None:
+        self._start_s = self._now_s()
+
+    def __exit__(self, *_: object) -> None:
+        self._clock.add(self._name, self._now_s() - self._start_s)

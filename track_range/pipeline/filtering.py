@@ -31,6 +31,7 @@ _ACROSS_MPS, _ACROSS_SIGMA = 1.0, 3.0
 _SCALE_ERROR = 0.2
 # of the road classes, objects whose height does not change
 _IS_RIGID = np.isin(ROAD_CLASSES, ("car", "truck", "bus", "motorcycle"))
+_ASSUMED = int(ScaleSource.ASSUMED)
 FUSED_NOISE_FRACTION = (
     0.35  # initial fraction of the fused sigma that is independent between frames
 )
@@ -61,7 +62,10 @@ class Filtered:
 
     def corrected(self, focal: FocalScale) -> "Filtered":
         """The motion with the true focal length, which affects only what is along the axis."""
-        scaled = {name: one.scaled(focal.factor) for name, one in self.by_method.items()}
+        factor = focal.factor
+        if factor == 1.0:
+            return self
+        scaled = {name: one.scaled(factor) for name, one in self.by_method.items()}
         return replace(self, by_method=scaled)
 
 
@@ -169,9 +173,12 @@ class FilterStage:
     def _may_be_static(self, tracks: Tracks, fused: Ranges, ego: EgoMotion) -> BoolArray:
         """(N,) False = the track certainly moves across the camera's axis."""
         last = self._lateral.last(tracks.track_id)
-        across_mps = _ACROSS_MPS + _ACROSS_SIGMA * np.sqrt(last.P_vv)
-        turned_mps = np.nan_to_num(abs(ego.yaw_rad_s) * fused.distance_m)
-        across_mps += _SCALE_ERROR * (turned_mps + np.nan_to_num(abs(ego.right_mps)))
+        right_mps = abs(ego.right_mps) if math.isfinite(ego.right_mps) else 0.0
+        least_mps = _ACROSS_MPS + _SCALE_ERROR * right_mps
+        across_mps = least_mps + _ACROSS_SIGMA * np.sqrt(last.P_vv)
+        if math.isfinite(ego.yaw_rad_s):
+            # 0 for an unknown distance
+            across_mps += _SCALE_ERROR * np.fmax(abs(ego.yaw_rad_s) * fused.distance_m, 0.0)
         return np.asarray(~(np.abs(last.v) > across_mps))
 
     def _heights_px(self, tracks: Tracks, fused: Fused) -> dict[str, FloatArray]:
@@ -183,7 +190,7 @@ class FilterStage:
         is_whole = tracks.observed & (top_px >= BORDER_PX) & (bottom_px <= last_px)
         counts = is_whole & _IS_RIGID[tracks.class_id]
         height_px = np.where(counts, bottom_px - top_px, np.nan)
-        is_assumed = fused.scale_source == ScaleSource.ASSUMED
+        is_assumed = fused.scale_source == _ASSUMED
         by_size = dict.fromkeys(self._by_size, height_px)
         return {**by_size, "fused": np.where(is_assumed, height_px, np.nan)}
 
@@ -191,7 +198,7 @@ class FilterStage:
         """(N,) whether distances come from boxes with hidden sides; None = no box has any."""
         if not self._has_visible_boxes:
             return None
-        hidden = have_hidden_sides(tracks.xyxy_px) & (fused.scale_source == ScaleSource.ASSUMED)
+        hidden = have_hidden_sides(tracks.xyxy_px) & (fused.scale_source == _ASSUMED)
         return np.asarray(hidden)
 
 
@@ -205,11 +212,10 @@ def reported(
     """All distances of a frame by name, the filtered ones as NAME_kf, with the errors that neither
     fusion nor filters reduce; `focal` has corrected the filtered ones.
     """
-    sigma = doubt.shared_sigma
+    sigma, factor = doubt.shared_sigma, focal.factor
     by_method = {**measured.ranges, "fused": fused.ranges}
     ranges = {
-        name: of_method.scaled(focal.factor).widened(sigma[name])
-        for name, of_method in by_method.items()
+        name: of_method.scaled(factor).widened(sigma[name]) for name, of_method in by_method.items()
     }
     for name, of_method in filtered.by_method.items():
         ranges[f"{name}_kf"] = of_method.ranges.widened(sigma[name])

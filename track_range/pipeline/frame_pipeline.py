@@ -162,9 +162,10 @@ class FramePipeline:
 
     def _numbered(self, tracks: Tracks) -> Tracks:
         """Tracks with other numbers than those of earlier scenes."""
-        track_id = tracks.track_id + self._first_id
-        self._next_id = max(self._next_id, int(track_id.max(initial=-1)) + 1)
-        return replace(tracks, track_id=track_id)
+        if len(tracks) and self._first_id:
+            tracks = replace(tracks, track_id=tracks.track_id + self._first_id)
+        self._next_id = max(self._next_id, int(tracks.track_id.max(initial=-1)) + 1)
+        return tracks
 
     def _predicted(self, frame: Frame, known_ego: EgoMotion | None) -> _Seen:
         """The last tracks, without measurements: a repeated image shows nothing of its time."""

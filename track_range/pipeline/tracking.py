@@ -5,7 +5,6 @@ from track_range.foundation.errors import named_errors
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.registry import (
     ObjectTracker,
-    RefinableTracker,
     TrackerError,
     checked_tracks,
 )
@@ -26,4 +25,5 @@ def unconfirmed(tracker: ObjectTracker) -> Tracks:
     """The boxes of the last frame whose tracks are not confirmed yet; none of a tracker that does
     not tell.
     """
-    return tracker.tentative if isinstance(tracker, RefinableTracker) else Tracks.empty()
+    tentative = getattr(tracker, "tentative", None)
+    return tentative if isinstance(tentative, Tracks) else Tracks.empty()

@@ -18,7 +18,6 @@ from track_range.stereo.geometry.mounting import Mounting, looks_ahead
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.tracks import Tracks
 
-
 _BOX_NOISE = BoxNoise()
 
 
