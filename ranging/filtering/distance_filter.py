@@ -250,8 +250,8 @@ class DistanceFilters:
 
     def _store(self, track_id: IntArray, bank: FilterBank, time_s: float) -> None:
         """Keep the states for the next frame, of absent tracks during `max_gap_s`."""
-        measured_s = self._new.of_tracks(self._tracks.known).history.measured_s
-        is_recent = (time_s - measured_s <= self._settings.max_gap_s).any(axis=(0, 1))
+        measured_s = bank.measured_s(self._tracks.known)
+        is_recent = (time_s - measured_s <= self._settings.max_gap_s).any(axis=0)
         self._tracks.put(track_id, bank.rows, keep_known=np.asarray(is_recent))
 
     def _filtered(

@@ -150,6 +150,12 @@ class FilterBank:
         """Filters with the state `rows` of other tracks."""
         return FilterBank(self.models, self.settings, rows)
 
+    def measured_s(self, rows: FloatArray) -> FloatArray:
+        """(M, N) times of the last measurements in the state `rows` of other tracks."""
+        M, G = self.models.n_methods, self.models.n_models
+        start = _row_ends(M, G)[2] + M * History._fields.index("measured_s")
+        return rows[start : start + M]
+
     def slides(self, cut: CutBoxes | None) -> BoolArray:
         """(N,) whether the box is cut, or was in the previous frame."""
         was_cut = self.last.was_cut > 0

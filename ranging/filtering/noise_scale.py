@@ -39,20 +39,17 @@ class MeasuredDistances:
 
         `fractions` apply to `Ranges` without a systematic part per box; `factor` (M, 1) is lambda.
         """
-        n = len(next(iter(by_method.values())))
-        distance_m, sigma_m = np.full((2, len(fractions), n), np.nan)
-        fraction = np.repeat(np.array(list(fractions.values()))[:, None], n, axis=1)
-        for i, name in enumerate(fractions):
-            if name not in by_method:
-                continue
-            ranges = by_method[name]
-            distance_m[i], sigma_m[i] = ranges.distance_m, ranges.sigma_m
-            if ranges.sigma_systematic_m is not None:
-                independent = 1.0 - (ranges.sigma_systematic_m / ranges.sigma_m) ** 2
-                fraction[i] = np.maximum(independent, _MIN_INDEPENDENT_FRACTION**2)
-        valid = np.isfinite(distance_m) & (distance_m > 0) & (sigma_m > 0)
+        unmeasured = np.full(len(next(iter(by_method.values()))), np.nan)
+        columns = [_columns(by_method.get(name), unmeasured) for name in fractions]
+        distance_m, sigma_m, systematic_m = np.array(columns).swapaxes(0, 1)
+        declared = np.array([[fraction] for fraction in fractions.values()])
+        given = systematic_m / sigma_m
+        least = _MIN_INDEPENDENT_FRACTION**2
+        fraction = np.where(np.isnan(given), declared, np.maximum(1.0 - given * given, least))
+        valid = (distance_m > 0) & (distance_m < np.inf) & (sigma_m > 0)
         distance_m = np.where(valid, distance_m, np.nan)
-        variance = (sigma_m / distance_m) ** 2
+        relative = sigma_m / distance_m
+        variance = relative * relative
         # If the noise is smaller than declared, the remainder of sigma counts as systematic.
         systematic = (1 - fraction * np.minimum(factor, 1.0)) * variance
         return cls(
@@ -61,6 +58,15 @@ class MeasuredDistances:
             systematic=systematic[:, None],
             valid=valid[:, None],
         )
+
+
+def _columns(ranges: Ranges | None, unmeasured: FloatArray) -> tuple[FloatArray, ...]:
+    """Distances, their sigmas and the systematic parts of these, (N,) each; NaN = none."""
+    if ranges is None:
+        return unmeasured, unmeasured, unmeasured
+    systematic_m = ranges.sigma_systematic_m
+    given_m = unmeasured if systematic_m is None else systematic_m
+    return ranges.distance_m, ranges.sigma_m, given_m
 
 
 class NoiseScale:
@@ -91,8 +97,10 @@ class NoiseScale:
         S = predicted + noise
         w = np.where(use, noise / S, 0.0)
         ratio = np.where(use, squared / S, 0.0)
-        decay = 0.5 ** (use.sum(axis=1, keepdims=True) / _MEMORY_SAMPLES)
-        ratios = (w * np.minimum(ratio, _MAX_RATIO)).sum(axis=1, keepdims=True)
+        sums = np.add.reduce(np.array([w * np.minimum(ratio, _MAX_RATIO), w, use]), axis=2)
+        ratios, weights, n_used = sums[..., None]
+        decay = 0.5 ** (n_used / _MEMORY_SAMPLES)
         self._ratios = self._ratios * decay + self.factor * ratios
-        self._weights = self._weights * decay + w.sum(axis=1, keepdims=True)
-        self.factor = (self._ratios / self._weights).clip(*_LIMITS)
+        self._weights = self._weights * decay + weights
+        least, largest = _LIMITS
+        self.factor = np.minimum(np.maximum(self._ratios / self._weights, least), largest)

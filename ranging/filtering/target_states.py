@@ -60,11 +60,11 @@ class TargetStates:
         e = np.exp(-dt / MANOEUVRE_S)
         g = MANOEUVRE_S * (1.0 - e)
         f = MANOEUVRE_S * (dt - g)
+        of_a = np.array([f, g])[:, None, None, None]
         for part in (self.table, self.P.swapaxes(0, 1)):  # F [P x], then P F'
             d, v, a, _ = part
             d += dt * v
-            d += f * a
-            v += g * a
+            part[:2] += of_a * a
             a *= e
         half, third, variance = dt * dt / 2, dt * dt * dt / 3, sigma_mps2 * sigma_mps2
         jerk = (2.0 / MANOEUVRE_S) * variance

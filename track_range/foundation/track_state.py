@@ -41,7 +41,8 @@ class TrackState:
         """
         ids = track_id.tolist()
         n = len(ids)
-        if ids == self._ids[:n] and keep_known[n:].all():
+        is_prefix = ids == self._ids[:n]
+        if is_prefix and (n == len(self._ids) or keep_known[n:].all()):
             self._columns[..., :n] = state
             return
         present, columns = set(ids), []
