@@ -18,6 +18,8 @@ r starts as a copy of d, with its covariances (stochastic cloning, Roumeliotis a
 2002), so that the noise of the distance in the key frame is not counted twice.
 """
 
+import math
+
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
@@ -57,18 +59,27 @@ class TargetStates:
         """The states after dt (N,): x' = F x, P' = F P F' + Q; `q` and `sigma_mps2`, sigma_a, are
         (G, N).
         """
-        e = np.exp(-dt / MANOEUVRE_S)
+        steps_s = dt.tolist()
+        if len(set(steps_s)) == 1:
+            self._predict(steps_s[0], q, sigma_mps2)
+            return
+        for step_s in set(steps_s):  # of new tracks, and of those that were absent
+            tracks = (dt == step_s).nonzero()[0]
+            states = TargetStates(self.table[..., tracks])
+            states._predict(step_s, q[:, tracks], sigma_mps2[:, tracks])
+            self.table[..., tracks] = states.table
+
+    def _predict(self, dt: float, q: FloatArray, sigma_mps2: FloatArray) -> None:
+        """The states of tracks with the same dt."""
+        e = math.exp(-dt / MANOEUVRE_S)
         g = MANOEUVRE_S * (1.0 - e)
         f = MANOEUVRE_S * (dt - g)
-        of_a = np.array([f, g])[:, None, None, None]
-        for part in (self.table, self.P.swapaxes(0, 1)):  # F [P x], then P F'
-            d, v, a, _ = part
-            d += dt * v
-            part[:2] += of_a * a
-            a *= e
+        F = np.array([[1.0, dt, f], [0.0, 1.0, g], [0.0, 0.0, e]])  # r does not change
+        rows, columns, P = self.table[:3], self.P[:, :3], self.P
+        rows[...] = (F @ rows.reshape(3, -1)).reshape(rows.shape)
+        columns[...] = (F @ columns.reshape(4, 3, -1)).reshape(columns.shape)
         half, third, variance = dt * dt / 2, dt * dt * dt / 3, sigma_mps2 * sigma_mps2
         jerk = (2.0 / MANOEUVRE_S) * variance
-        P = self.P
         P[0, 0] += q * third
         P[0, 1] += q * half
         P[1, 1] += q * dt + jerk * third
