@@ -8,7 +8,7 @@ Arrays are over M methods and N tracks, tracks last. Symbols are defined in the 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -35,11 +35,12 @@ class Measurements:
         """Measurements of the model's methods; a method that is missing in `by_method` has not
         measured any track.
         """
-        distance_m, sigma_m = np.full((2, len(model.names), len(track_id)), np.nan)
-        for i, name in enumerate(model.names):
-            if name in by_method:
-                distance_m[i], sigma_m[i] = by_method[name].distance_m, by_method[name].sigma_m
-        valid = np.isfinite(distance_m) & (distance_m > 0) & (sigma_m > 0)
+        unmeasured = np.full(len(track_id), np.nan)
+        missing = Ranges(track_id, unmeasured, unmeasured)
+        methods = [by_method.get(name, missing) for name in model.names]
+        distance_m = np.array([ranges.distance_m for ranges in methods])
+        sigma_m = np.array([ranges.sigma_m for ranges in methods])
+        valid = (distance_m > 0) & (distance_m < np.inf) & (sigma_m > 0)
         distance_m = np.where(valid, distance_m, 1.0)
         return cls(np.log(distance_m), np.where(valid, sigma_m, 0.0) / distance_m, valid)
 
@@ -73,15 +74,18 @@ class TrackBiases:
 
     def to_columns(self) -> FloatArray:
         """(M + M M + 6, N) all attributes, one column per track."""
-        others = [
+        m, n = self.u.shape
+        columns = np.empty((m + m * m + 6, n))
+        columns[:m], columns[m : m + m * m] = self.u, self.C.reshape(m * m, n)
+        columns[m + m * m :] = (
             self.log_m,
             self.variance,
             self.time_s,
             self.n_agreements,
             self.n_conflicts,
             self.reference_s,
-        ]
-        return np.concatenate([self.u, self.C.reshape(len(self.u) ** 2, self.u.shape[1]), others])
+        )
+        return columns
 
     @staticmethod
     def initial_column(model: ErrorModel) -> FloatArray:
@@ -103,7 +107,20 @@ class TrackBiases:
     def decayed(self, fraction: FloatArray, model: ErrorModel) -> TrackBiases:
         """Biases decayed towards the prior: u multiplied by `fraction` (N,), C moved towards C0."""
         C0 = model.systematic_correlation[:, :, None]
-        return replace(self, u=self.u * fraction, C=C0 + (self.C - C0) * (fraction * fraction))
+        return self.with_biases(self.u * fraction, C0 + (self.C - C0) * (fraction * fraction))
+
+    def with_biases(self, u: FloatArray, C: FloatArray) -> TrackBiases:
+        """The state with other biases."""
+        return TrackBiases(
+            u,
+            C,
+            self.log_m,
+            self.variance,
+            self.time_s,
+            self.n_agreements,
+            self.n_conflicts,
+            self.reference_s,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +168,9 @@ def least_squares(used: Measurements, track: TrackBiases, model: ErrorModel) -> 
 
     difference = (y - log_m) * used.valid  # P 1 = 0, so P y = P (y - log d), from smaller numbers
     residual = (P * difference).sum(axis=1)
-    t2 = (residual * residual / np.maximum(np.einsum("iin->in", P), _TINY)).max(axis=0)
+    m, n = residual.shape
+    own = P.reshape(m * m, n)[:: m + 1]  # P_ii
+    t2 = (residual * residual / np.maximum(own, _TINY)).max(axis=0)
     chi2_per_dof = (difference * residual).sum(axis=0) / np.maximum(n_valid - 1, 1)
     return Estimate(log_m, variance, k, y, A, P, residual, t2, chi2_per_dof, n_valid)
 

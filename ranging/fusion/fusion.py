@@ -46,7 +46,7 @@ nearer to the lane methods.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
@@ -94,6 +94,10 @@ class ScaleSource(IntEnum):
     REFERENCE = 1
 
 
+_ASSUMED, _REFERENCE = map(int, ScaleSource)
+_N_SOURCES = len(ScaleSource)
+
+
 @dataclass(frozen=True, slots=True)
 class Fused:
     """Fused ranges of N tracks in one frame."""
@@ -108,7 +112,7 @@ class Fused:
         """(N,) code of `scale_source` and `n_conflicts`; a step in distance at a change of the code
         is not motion.
         """
-        return np.asarray(len(ScaleSource) * self.n_conflicts + self.scale_source)
+        return np.asarray(_N_SOURCES * self.n_conflicts + self.scale_source)
 
 
 class Fusion:
@@ -177,16 +181,17 @@ class Fusion:
         is_unresolved = (estimate.t2 > _CONFLICT_T2) & (track.n_agreements < _TRUSTED_FRAMES)
         change = ((estimate.n_valid > 1) & ~in_conflict) - 2.0 * in_conflict
         moved = np.fmax(np.abs(estimate.log_m - track.log_m), 0.0) * has_any  # 0 for a new track
-        track = replace(
-            track.decayed(np.exp(moved / -_MEMORY_LOG), model),
+        track = track.decayed(np.exp(moved / -_MEMORY_LOG), model)
+        has_reference = used.valid[model.reference].any(axis=0)
+        track = TrackBiases(
+            u=track.u,
+            C=track.C,
             log_m=np.where(has_any, estimate.log_m, track.log_m),
             variance=np.where(has_any, estimate.variance, track.variance),
             time_s=np.where(has_any, time_s, track.time_s),
             n_agreements=np.minimum(np.maximum(track.n_agreements + change, 0.0), _MAX_AGREEMENTS),
             n_conflicts=track.n_conflicts + is_unresolved,
-            reference_s=np.where(
-                used.valid[model.reference].any(axis=0), time_s, track.reference_s
-            ),
+            reference_s=np.where(has_reference, time_s, track.reference_s),
         )
         is_recent = time_s - TrackBiases.from_columns(self._tracks.known, m).time_s <= _MAX_GAP_S
         self._tracks.put(track_id, track.to_columns(), keep_known=is_recent)
@@ -196,7 +201,7 @@ class Fusion:
         is_reference = (time_s - track.reference_s <= _REFERENCE_S) | (
             track.u_variance[model.size] < _KNOWN_BIAS_VARIANCE
         ).any(axis=0)
-        scale_source = np.where(is_reference, int(ScaleSource.REFERENCE), int(ScaleSource.ASSUMED))
+        scale_source = np.where(is_reference, _REFERENCE, _ASSUMED)
         return Fused(
             Ranges(track_id, distance_m, sigma_m), scale_source, track.n_conflicts.astype(np.int64)
         )
@@ -210,13 +215,15 @@ def _with_biases_learnt(
     *,
     in_conflict: BoolArray,
 ) -> TrackBiases:
+    has_reference = used.valid[model.reference].any(axis=0)
+    if not (has_reference | in_conflict).any():
+        return track
     size, matching = model.size[:, None], model.matching
     is_apart = np.abs(used.z[size] - used.z[matching]) > _MAX_BIAS_SIGMA * np.hypot(
         used.sigma[size], used.sigma[matching]
     )
     is_implausible = (used.valid[size] & used.valid[matching] & is_apart).any(axis=(0, 1))
     damping = np.sqrt(_CONFLICT_T2 / np.maximum(estimate.t2, _CONFLICT_T2))
-    has_reference = used.valid[model.reference].any(axis=0)
     t = model.is_learnt * (damping * ~is_implausible * has_reference)
     CK = track.C * estimate.k
     B = np.einsum("ajn,bjn->abn", np.einsum("ain,ijn->ajn", CK, estimate.P), CK)
@@ -226,7 +233,7 @@ def _with_biases_learnt(
     if in_conflict.any():
         C0_learnt = model.is_learnt * model.is_learnt.T * model.systematic_correlation
         C += _CONFLICT_VARIANCE * C0_learnt[:, :, None] * in_conflict
-    return replace(track, u=u, C=C)
+    return track.with_biases(u, C)
 
 
 def _inconsistent_with_size(
