@@ -91,7 +91,7 @@ MOST_STATEMENTS = {
     # settings of the warning check themselves (3)
     # arrays of all body types and yaws of a frame's boxes, and their selection by a sort (25); slopes
     # of patches (12); references of the drive's scale and contacts of both roads at once (20)
-    "ranging": 7_444,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 7_524,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     "api": 106,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
@@ -125,7 +125,7 @@ MOST_STATEMENTS = {
     # the flow of long tracks, below the two estimators that follow corners (35)
     # the interval of a rate (6); probabilities of options are at most 1 (4)
     # settings check themselves, and a column that is missing is named (5)
-    "foundation": 1_827,
+    "foundation": 1_828,
     # each stage has a frozen output, and `FrameResult` consists of them (165); the detection and the
     # scale report (9)
     # the way of a repeated image (45); the scale of a pair, corrected in one place (7); the
@@ -143,7 +143,7 @@ MOST_STATEMENTS = {
     # a speed that is not measured for a moment is predicted (7)
     # heights of whole boxes (3)
     # another scene has other stages and other numbers (19), and predicted speeds (1)
-    "pipeline": 972,
+    "pipeline": 984,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120),
