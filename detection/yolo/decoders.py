@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from scipy.special import softmax
 
 from track_range.detection.boxes import xyxy_from_cxcywh
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, IntArray
@@ -158,15 +157,16 @@ def decode_rows(
     levels: Sequence[BoxRows], outputs: Sequence[FloatArray32], min_score: FloatArray
 ) -> Candidates:
     """Candidates of all levels; each level has the rows of one grid."""
-    boxes, scores, cells = [], [], []
+    boxes, cells = [np.zeros((0, 4))], [np.zeros((0, 2))]
+    scores = [np.zeros((0, len(min_score)), np.float32)]
     lowest = float(min_score.min())
     threshold = {"none": lowest, "sigmoid": logit(lowest), "softmax": -np.inf}
     for level in levels:
-        if level.objectness is not None:
-            reached = level.objectness.of(outputs)[:, 0]  # the score cannot exceed the objectness
-        else:
-            reached = level.scores.of(outputs).max(axis=1)
-        kept = np.flatnonzero(~(reached < np.float32(threshold[level.activation])))
+        # the score cannot exceed the objectness
+        highest = level.scores if level.objectness is None else level.objectness
+        kept = _rows_reaching(highest.of(outputs), np.float32(threshold[level.activation]))
+        if not len(kept):
+            continue
         score = _activated(level.scores.at(outputs, kept), level.activation)[:, level.classes]
         if level.objectness is not None:
             score = _activated(level.objectness.at(outputs, kept), level.activation) * score
@@ -178,6 +178,19 @@ def decode_rows(
     return Candidates.of(
         np.concatenate(boxes), np.concatenate(scores), min_score, np.concatenate(cells)
     )
+
+
+def _rows_reaching(values: FloatArray32, threshold: np.float32) -> IntArray:
+    """Numbers of the rows (N, k) in which any value reaches the threshold, or is NaN."""
+    if values.shape[1] == 1:
+        return np.flatnonzero(~(values[:, 0] < threshold))
+    if not values.flags.c_contiguous:  # columns are contiguous, whose largest values are fast
+        return np.flatnonzero(~(values.max(axis=1) < threshold))
+    # all values with one comparison, which is faster than the largest one of each short row
+    rows = np.flatnonzero(~(values.ravel() < threshold)) // values.shape[1]
+    is_first = np.ones(len(rows), np.bool_)
+    is_first[1:] = rows[1:] != rows[:-1]
+    return rows[is_first]
 
 
 def _activated(values: FloatArray32, activation: Activation) -> FloatArray | FloatArray32:
@@ -294,10 +307,11 @@ def binned_distances(
     P(k) = exp(t_k) / sum over j of exp(t_j)          distance = stride * sum over k of k P(k)
     """
     point_code = distances(centre_px)
+    bins, side_px = np.arange(n_bins), np.tile(stride_px, 2)
 
     def code(numbers: FloatArray, rows: IntArray) -> FloatArray:
         probability = softmax(numbers.reshape(-1, 4, n_bins), axis=2)
-        boxes = point_code((probability @ np.arange(n_bins)) * np.tile(stride_px[rows], 2), rows)
+        boxes = point_code((probability @ bins) * side_px[rows], rows)
         return (
             boxes if clipped_to_hw is None else np.clip(boxes, 0, np.tile(clipped_to_hw[::-1], 2))
         )
@@ -333,6 +347,12 @@ def anchored(
         )
 
     return code
+
+
+def softmax(x: FloatArray, axis: int) -> FloatArray:
+    """exp(x) / (sum of exp(x)) along an axis."""
+    relative = np.exp(x - x.max(axis=axis, keepdims=True))
+    return np.asarray(relative / relative.sum(axis=axis, keepdims=True))
 
 
 def sigmoid(x: FloatArray) -> FloatArray:
