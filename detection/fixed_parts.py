@@ -130,6 +130,8 @@ class FixedParts:
         from_middle = np.abs(centre / image.shape[1::-1] - 0.5)
         is_possible = is_large & (n_fixed >= _LEAST_FIXED * (x2 - x1) * (y2 - y1))
         is_possible &= (from_middle > _MIDDLE).any(axis=1)
+        if not is_possible.any():
+            return detections
         is_moving = np.ones(len(detections), np.bool_)
         for row in np.flatnonzero(is_possible).tolist():  # few: most boxes show no fixed pixel
             window = slice(y1[row], y2[row]), slice(x1[row], x2[row])

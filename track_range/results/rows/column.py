@@ -105,37 +105,48 @@ class RowReader:
 
     def __init__(self, columns: Sequence[ResultColumn]) -> None:
         self.columns = columns
-        self._numbers = [_reader(one.place) for one in columns if one.kind == "number"]
-        self._others = [_reader(one.place) for one in columns if one.kind != "number"]
+        numbers = [column.place for column in columns if column.kind == "number"]
+        others = [column.place for column in columns if column.kind != "number"]
+        self._n_numbers = len(numbers)
+        # most are attributes, which are read with one call
+        attributes = [place for place in (*numbers, *others) if _is_attribute(place)]
+        self._attributes = attrgetter(*attributes)
+        parts = [place for place in (*numbers, *others) if not _is_attribute(place)]
+        self._parts = [_reader(place) for place in parts]
+        self._order = [[*attributes, *parts].index(place) for place in (*numbers, *others)]
 
     def read(self, result: FrameResult) -> FrameValues:
         """The values of the rows of a frame."""
         n_tracks = len(result.tracks)
         unknown = np.full(n_tracks, math.nan)
-
-        def values(reader: Callable[[FrameResult], Any]) -> npt.NDArray[Any]:
-            value = reader(result)
-            if isinstance(value, np.ndarray):
-                return value
-            return unknown if value is None else np.full(n_tracks, value)
-
-        numbers = np.concatenate([values(reader) for reader in self._numbers], dtype=np.float64)
+        found = [*self._attributes(result), *[reader(result) for reader in self._parts]]
+        values = [unknown if value is None else value for value in found]
+        arrays = [
+            value if isinstance(value, np.ndarray) else np.full(n_tracks, value) for value in values
+        ]
+        ordered = [arrays[place] for place in self._order]
+        numbers = np.concatenate(ordered[: self._n_numbers], dtype=np.float64)
         return FrameValues(
-            numbers.reshape(len(self._numbers), n_tracks),
-            [values(reader).copy() for reader in self._others],
+            numbers.reshape(self._n_numbers, n_tracks),
+            [array.copy() for array in ordered[self._n_numbers :]],
         )
+
+
+def _is_attribute(place: str) -> bool:
+    """Whether a place is a path of attributes alone."""
+    return not place.startswith("ranges.") and not place.rpartition(".")[2].isdigit()
 
 
 @cache  # of few places, for each frame of a run
 def _reader(place: str) -> Callable[[FrameResult], Any]:
     """Reads the value at a place of a `FrameResult`; None = it has no such part."""
     first, *steps = place.split(".")
+    if _is_attribute(place):
+        return attrgetter(place)
     if first == "ranges":
         return lambda result: _of_ranges(result, *steps)
-    if steps[-1].isdigit():
-        values, axis = attrgetter(place.rpartition(".")[0]), int(steps[-1])
-        return lambda result: values(result)[:, axis]
-    return attrgetter(place)
+    values, axis = attrgetter(place.rpartition(".")[0]), int(steps[-1])
+    return lambda result: values(result)[:, axis]
 
 
 def _of_ranges(result: FrameResult, method: str, part: str, detail: str = "") -> Any:
