@@ -37,10 +37,19 @@ def small_grey(image: Image, n_halved: int) -> Image:
     """The green channel, which is faster than grey, halved `n_halved` times by 2x2 means, which
     prevent aliasing.
     """
-    grey = image if image.ndim == 2 else np.asarray(cv2.extractChannel(image, 1), np.uint8)
+    grey = image if image.ndim == 2 else _green(image)
     for _ in range(n_halved):
         grey = halved(grey)
     return grey
+
+
+def _green(image: Image) -> Image:
+    """The green channel: OpenCV splits the channels with vector instructions, in less than half of
+    the time that it needs to extract one.
+    """
+    green, others = np.empty(image.shape[:2], np.uint8), np.empty((2, *image.shape[:2]), np.uint8)
+    cv2.split(image, [others[0], green, others[1]])
+    return green
 
 
 def halved(image: Image) -> Image:

@@ -7,6 +7,7 @@ from track_range.foundation.sparse_flow import (
     isotropy,
     masked_cells,
     ranked_corners,
+    small_grey,
 )
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.odometry.image_motion import ImageMotionEstimator
@@ -28,6 +29,19 @@ def shifted_flow():
     flow.add(image_at(103), NO_BOXES, 0.0)
     flow.add(image_at(100), NO_BOXES, 0.1)
     return flow
+
+
+def test_grey_is_the_green_channel_halved_by_means():
+    """Also of a part of an image, whose rows are apart, and of an image that is grey."""
+    image = np.random.default_rng(0).integers(0, 255, (41, 60, 3), np.uint8)
+    for part in (image, image[3:37, 7:50]):
+        green = part[..., 1]
+        np.testing.assert_array_equal(small_grey(part, 0), green)
+        even = green[: len(green) // 2 * 2, : green.shape[1] // 2 * 2].astype(int)
+        total = even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]
+        np.testing.assert_array_equal(small_grey(part, 1), (total + 2) // 4)
+    grey = np.ascontiguousarray(image[..., 0])
+    assert small_grey(grey, 0) is grey
 
 
 @pytest.mark.parametrize("counts", [(100, 20), (20, 100), (20, 60, 100)])
