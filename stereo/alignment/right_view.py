@@ -96,7 +96,7 @@ def fit_rows(
     """
     X, Y = camera.rays(right_px)[:, :2].T
     f_over_w = camera.fx_px / (camera.width_px / 2)
-    design = np.stack([1 + Y**2, -f_over_w * X, f_over_w * Y, -f_over_w * X * Y], axis=1)
+    design = np.array([1 + Y**2, -f_over_w * X, f_over_w * Y, -f_over_w * X * Y]).T
     rows_px = right_px[:, 1] - left_px[:, 1]
     return cauchy_fit(design, rows_px, least_scale=least_scale_px, n_rounds=n_rounds)
 

@@ -196,9 +196,10 @@ class PinholeCamera:
         """(N, 3) ray of each undistorted pixel (N, 2), scaled to z = 1: a ray times z in metres is
         a point.
         """
-        x = (xy_px[:, 0] - self.cx_px) / self.fx_px
-        y = (xy_px[:, 1] - self.cy_px) / self.fy_px
-        return np.stack([x, y, np.ones_like(x)], axis=1)
+        rays = np.ones((len(xy_px), 3))
+        rays[:, 0] = (xy_px[:, 0] - self.cx_px) / self.fx_px
+        rays[:, 1] = (xy_px[:, 1] - self.cy_px) / self.fy_px
+        return rays
 
     def project(self, xyz_m: FloatArray) -> FloatArray:
         """(N, 2) undistorted pixels of points (N, 3) in the camera's frame; NaN for points behind

@@ -491,8 +491,8 @@ def _strip_correlations(
     strips = strips - strips.mean(axis=1, keepdims=True)
     spread = np.sqrt((strips * strips).sum(axis=1))
     is_used = spread >= _MIN_STRIP_GREY * math.sqrt(strips.shape[1])
-    masked = _windows(masked_fraction[:, None], _N_STRIP // 2)
-    is_used &= masked.mean(axis=1) <= _MAX_MASKED_FRACTION
+    masked = _moved_sums(np.cumsum(masked_fraction))[top]
+    is_used &= masked <= _MAX_MASKED_FRACTION * _N_STRIP + 1e-6  # rounding of the sums
     top, strips = top[is_used], strips[is_used] / spread[is_used, None]
     sums, squares = np.cumsum(
         [now.sum(axis=1, dtype=np.float64), (now * now).sum(axis=1, dtype=np.float64)], axis=1
@@ -571,10 +571,16 @@ def plane_error(
     places = np.stack([z_m, x_m], axis=1)[is_known]
     z_mean, x_mean = places.mean(axis=0).tolist()
     by_tilt = (places - [z_mean, x_mean]) * np.array([2.0, -1.0]) * (shift_m / height_m)
-    Q, R = np.linalg.qr(by_tilt)  # two independent measurements, the second of the roll alone
-    of_horizon, of_roll = (Q.T @ shifts_m[is_known]).tolist()
-    a, b, c = R[0, 0], R[0, 1], R[1, 1]
-    sees_roll = abs(c) > _MIN_ROLL_M
+    by_horizon, by_roll = by_tilt.T
+    # two independent measurements, the second of the roll alone: by_tilt = Q [[a, b], [0, c]]
+    a = math.sqrt(by_horizon @ by_horizon)
+    along = by_horizon / a
+    b = float(along @ by_roll)
+    across = by_roll - b * along
+    c = math.sqrt(across @ across)
+    known_m = shifts_m[is_known]
+    of_horizon, sees_roll = float(along @ known_m), c > _MIN_ROLL_M
+    of_roll = float(across @ known_m) / c if sees_roll else 0.0
     return PlaneError(
         horizon=of_horizon / a,
         variance=(_STRIP_SIGMA_M / a) ** 2 + _STRIPS_SIGMA_RAD**2,

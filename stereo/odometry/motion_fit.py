@@ -117,12 +117,12 @@ def _refined(points: _Points, motion: RigidMotion) -> _Refined:
     """The motion by Gauss-Newton from a first one."""
     for _ in range(_N_ROUNDS):
         equations = points.equations(motion)
-        gradient = equations.gradient[:6]
-        inverse = np.asarray(np.linalg.inv(equations.information[:6, :6]), np.float64)
-        step = np.asarray(-inverse @ gradient, np.float64)
+        information, gradient = equations.information[:6, :6].copy(), equations.gradient[:6]
+        step = -cv2.solve(information, gradient[:, None])[1][:, 0]
         motion = motion.moved_by(step)
         if -float(step @ gradient) < _SMALL_STEP2 * equations.spread2:
             break
+    inverse = np.asarray(np.linalg.inv(information), np.float64)
     is_static = equations.distance2 <= _MAX_DISTANCE2 * equations.spread2
     # the camera has not passed the point
     is_static &= motion.moved(points.rays, points.inverse_depth)[:, 2] > MIN_RATIO

@@ -53,7 +53,6 @@ _ROLL_S = 0.5
 # standard deviation of a car's roll against the lanes beside it, by springs and crowns of roads
 _ROLL_RAD = 0.01
 _Y, _K, _R, _Q = 0, 2, 4, 5  # indices of y, k, r and q in the state
-_TRAVEL = np.eye(3)  # the axes of travel
 _SPRINGS = np.array([1.0, -1.0, 0.0, 0.0, 0.0, 0.0])  # y - m
 
 
@@ -112,7 +111,16 @@ class RoadHorizon:
     @property
     def view(self) -> RoadView:
         """The road in the last frame, in the axes of travel."""
-        return self.seen(_TRAVEL)
+        y, _, k, _, roll, _ = self._x.tolist()
+        P = self._P
+        return RoadView(
+            horizon=y,
+            horizon_variance=float(P[_Y, _Y]),
+            slope=-roll,
+            curvature_per_m=k,
+            curvature_variance=float(P[_K, _K]),
+            covariance=float(P[_Y, _K]),
+        )
 
     def seen(self, travel_from_camera: FloatArray) -> RoadView:
         """The road in the last frame in the axes of a camera, from which the rotation (3, 3) leads to

@@ -322,7 +322,8 @@ class StereoOdometry:
     @property
     def right_camera(self) -> RightCamera:
         """How the right camera moved so far against its rig."""
-        return replace(self._right.now, is_lost=self._realignment.is_lost)
+        now = self._right.now
+        return replace(now, is_lost=True) if self._realignment.is_lost else now
 
     def _realign(self, frame: Frame, tracked: _Tracked | None, matches: _Matches) -> bool:
         """Align the pair again after a far movement; returns whether it is lost, or has another

@@ -24,6 +24,7 @@ _WARPED_PX = 0.8  # change from which the right image is warped
 # Disparity error per px of rows if the image is shifted rather than turned, and that of the offset
 # by the flow which follows from it: on a simulated drive 0.03 half-way to the edges, and 0.07.
 _BY_ROWS = 0.05
+_NO_BASE = np.eye(3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,7 @@ class RightCamera:
         default_factory=lambda: changes_of(np.zeros(5))
     )  # pitch, roll, zoom, offset and bow in px
     # (3, 3) correction of directions before it: what earlier movements left
-    base: FloatArray = field(default_factory=lambda: np.eye(3))
+    base: FloatArray = field(default_factory=lambda: _NO_BASE)
     is_lost: bool = False  # whether left and right do not match
 
     # (5,) the changes that are significant; others are 0
@@ -48,8 +49,13 @@ class RightCamera:
         is_clear = np.abs(mean) > np.maximum(_MIN_SIGMAS * sigma, _MIN_CHANGE_PX)
         applied_px = np.where(is_clear, mean, 0.0)
         object.__setattr__(self, "applied_px", applied_px)
-        is_warped = np.abs(applied_px[:BOW]).max() > _WARPED_PX or (self.base != np.eye(3)).any()
-        object.__setattr__(self, "is_warped", bool(is_warped))
+        is_far = max(map(abs, applied_px[:BOW].tolist())) > _WARPED_PX
+        object.__setattr__(self, "is_warped", is_far or self.has_base)
+
+    @property
+    def has_base(self) -> bool:
+        """Whether earlier movements are corrected."""
+        return self.base is not _NO_BASE and bool((self.base != _NO_BASE).any())
 
     @property
     def is_hit(self) -> bool:
@@ -81,15 +87,19 @@ class RightCamera:
     @property
     def alignment(self) -> Alignment:
         """The correction of the disparities of corrected right images."""
-        offset_px, bow_px = self.applied_px[[OFFSET, BOW]].tolist()
+        pitch_px, _, _, offset_px, bow_px = applied_px = self.applied_px.tolist()
         if self.is_warped:
             offset_px = 0.0
         mean, sigma, _ = self.change
-        withheld_px = np.hypot(np.where(self.applied_px == 0.0, mean, 0.0), sigma)
+        withheld_px = [
+            math.hypot(0.0 if of_applied else of_mean, of_sigma)
+            for of_applied, of_mean, of_sigma in zip(
+                applied_px, mean.tolist(), sigma.tolist(), strict=True
+            )
+        ]
         # zoom and bow act at the edges
-        rows_px = _BY_ROWS * self.applied_px[PITCH]
-        at_edges_px = withheld_px[[ZOOM, BOW]] / math.sqrt(3.0)
-        extra_px = math.hypot(withheld_px[OFFSET], rows_px, *at_edges_px)
+        at_edges_px = math.hypot(withheld_px[ZOOM], withheld_px[BOW]) / math.sqrt(3.0)
+        extra_px = math.hypot(withheld_px[OFFSET], _BY_ROWS * pitch_px, at_edges_px)
         bow_of_offset = (self.camera.width_px / 2 / self.camera.fx_px) ** 2
         return replace(
             self.own,

@@ -146,12 +146,14 @@ class RightCameraMonitor:
             value[:3] = rows[0] + (applied_px[:3] if self.now.is_warped else 0.0)
             sigma[:3] = rows[1]
             news_px = value - self._filter.expected
-            is_new = np.nan_to_num(np.abs(news_px) / sigma) > _NEW_SIGMAS
-            rows_only = replace(
-                self.now, change=changes_of(np.append(np.where(is_new, news_px, 0.0), 0.0))
-            )
-            unchanged = replace(self.now, change=changes_of(np.zeros(5)))
-            points_px = rows_only.moved_from(unchanged, right_px)
+            is_new = np.abs(news_px) > _NEW_SIGMAS * sigma  # False for NaN
+            points_px = right_px
+            if is_new.any():
+                rows_only = replace(
+                    self.now, change=changes_of(np.append(np.where(is_new, news_px, 0.0), 0.0))
+                )
+                unchanged = replace(self.now, change=changes_of(np.zeros(5)))
+                points_px = rows_only.moved_from(unchanged, right_px)
             steps = self._steps(left_px, points_px, expected_px)
             if steps is not None:
                 (step[OFFSET], bow_px), (step_sigma[OFFSET], bow_sigma_px) = steps
@@ -168,7 +170,7 @@ class RightCameraMonitor:
     def follow(self, alignment: Alignment) -> None:
         """Take the alignment of the next frame into account: another one includes the changes."""
         before, self._followed = self._followed, alignment
-        is_aligned_again = (self.now.base != np.eye(3)).any()  # after this alignment
+        is_aligned_again = self.now.has_base  # after this alignment
         if alignment == before or is_aligned_again:
             return
         if before is None or not self._n_frames:  # nothing was measured
@@ -219,7 +221,7 @@ class RightCameraMonitor:
         u = column_from_axis(right_px[is_known, 0], self._camera)
         missing_px = expected_px[is_known] - (left_px - right_px)[is_known, 0]
         X = u * (self._camera.width_px / 2 / self._camera.fx_px)
-        design = np.stack([1 + X**2, u**2], axis=1)
+        design = np.array([1 + X**2, u**2]).T
         solution, covariance, residual = cauchy_fit(design, missing_px, least_scale=_NEAR_PX)
         if (np.abs(residual) < _AGREEING_PX).mean() < _MIN_AGREEING:
             return None
