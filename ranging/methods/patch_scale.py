@@ -64,9 +64,10 @@ _MAX_GAP_S = 0.5  # longest time without a measurement
 
 _LINE = np.linspace(-1.0, 1.0, _GRID, dtype=np.float32)
 _X, _Y = np.tile(_LINE, _GRID), np.repeat(_LINE, _GRID)  # (P,) points, in half extents
-_ALL = np.arange(_GRID**2)
+_POINTS = np.stack([_X, _Y])[:, None]  # (2, 1, P)
 # every second point, for the coarser level
-_COARSE = _ALL.reshape(_GRID, _GRID)[::2, ::2].ravel()
+_COARSE = np.arange(_GRID**2).reshape(_GRID, _GRID)[::2, ::2].ravel()
+_COARSE_POINTS = np.ascontiguousarray(_POINTS[..., _COARSE])
 _NO_IMAGE: Image = np.zeros((1, 1), np.uint8)
 
 
@@ -127,28 +128,25 @@ class _Pyramid:
         return len(self._places)
 
     def sampled(
-        self, centre_px: FloatArray, extent_px: FloatArray, level: IntArray, points: IntArray
+        self, centre_px: FloatArray, extent_px: FloatArray, level: IntArray, points: FloatArray32
     ) -> tuple[FloatArray32, BoolArray]:
         """(N, P) values of patches (N, 2) with half extents (N, 2) in px of the image, and which
         points are inside.
 
-        `points` (P,) are indices of points of the grid.
+        `points` (2, 1, P) are x and y of the points in half extents.
         """
         level = np.minimum(level, len(self._places) - 1)
-        factor = 0.5 ** level[:, None]
-        x0, y0, x_last, y_last = self._places[level].T[..., None]
-        centre, extent = (
-            ((centre_px + 0.5) * factor - 0.5).astype(np.float32),
-            (extent_px * factor).astype(np.float32),
-        )
-        x, y = (
-            centre[:, :1] + extent[:, :1] * _X[points],
-            centre[:, 1:] + extent[:, 1:] * _Y[points],
-        )
-        is_inside = (x >= 0) & (x <= x_last) & (y >= 0) & (y <= y_last)
-        x = np.minimum(np.maximum(x, 0), x_last) + x0
-        y = np.minimum(np.maximum(y, 0), y_last) + y0
-        return np.asarray(cv2.remap(self._pixels, x, y, cv2.INTER_LINEAR), np.float32), is_inside
+        factor = 0.5**level
+        # (4, N, 1) first column and row of the level among the pixels, and the last ones in it
+        place = self._places[level].T[:, :, None]
+        centre = ((centre_px.T + 0.5) * factor - 0.5).astype(np.float32, order="C")[:, :, None]
+        extent = (extent_px.T * factor).astype(np.float32, order="C")[:, :, None]
+        xy = centre + extent * points
+        nearest = np.minimum(np.maximum(xy, 0), place[2:])
+        is_x_inside, is_y_inside = nearest == xy
+        x, y = nearest + place[:2]
+        values = np.asarray(cv2.remap(self._pixels, x, y, cv2.INTER_LINEAR), np.float32)
+        return values, is_x_inside & is_y_inside
 
 
 def side_fraction(camera: PinholeCamera, middle_px: FloatArray, class_id: IntArray) -> FloatArray:
@@ -206,7 +204,7 @@ class PatchScales:
             spacing_px = 2 * half_px.max(axis=1) / (_GRID - 1)
             nearest = np.maximum(np.rint(np.log2(spacing_px)), 0)
             level = np.minimum(nearest, pyramid.n_levels - 1).astype(np.int64)
-            template, is_inside = pyramid.sampled(centre_px, half_px, level, _ALL)
+            template, is_inside = pyramid.sampled(centre_px, half_px, level, _POINTS)
             weight = is_inside & ~covered_points(centre_px, half_px, tracks.xyxy_px, new)
             start = np.array([[0.0, 0.0, 1.0, 1.0]] * len(new))
             times = np.full((len(new), 2), time_s)
@@ -267,16 +265,13 @@ def _aligned(
     weight = np.asarray(
         key.weight.T * ~covered_points(centre_px + t, s * half_px, xyxy_px, rows), np.float32
     )
-    for points, terms, n_steps in (
-        (_COARSE, [0, 1, 4, 5], _N_COARSE),
-        (_ALL, [0, 1, 2, 3, 4, 5], _N_FINE),
-    ):
-        is_coarse = len(points) < P
-        A_now, w_now = A, weight
-        if is_coarse:
-            A_now = np.ascontiguousarray(A[:, terms][:, :, points])
-            w_now = np.ascontiguousarray(weight[:, points])
-        k, damping = len(terms) - 2, 1e-3 * np.eye(len(terms))
+    for is_coarse, n_steps in ((True, _N_COARSE), (False, _N_FINE)):
+        A_now, w_now, points = A, weight, _POINTS
+        if is_coarse:  # only of t
+            A_now = np.ascontiguousarray(A[:, [0, 1, 4, 5]][:, :, _COARSE])
+            w_now, points = np.ascontiguousarray(weight[:, _COARSE]), _COARSE_POINTS
+        n_terms = A_now.shape[1]
+        k, damping = n_terms - 2, 1e-3 * np.eye(n_terms)
         unit_now, limit_now = unit[:, :k], limit[:, :k]
         w = w_now
         for _ in range(n_steps):
