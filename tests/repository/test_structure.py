@@ -91,7 +91,7 @@ MOST_STATEMENTS = {
     # settings of the warning check themselves (3)
     # arrays of all body types and yaws of a frame's boxes, and their selection by a sort (25); slopes
     # of patches (12); references of the drive's scale and contacts of both roads at once (20)
-    "ranging": 7_524,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 7_527,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     "api": 106,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
