@@ -118,7 +118,7 @@ def _refined(points: _Points, motion: RigidMotion) -> _Refined:
     for _ in range(_N_ROUNDS):
         equations = points.equations(motion)
         information, gradient = equations.information[:6, :6].copy(), equations.gradient[:6]
-        step = -cv2.solve(information, gradient[:, None])[1][:, 0]
+        step = np.asarray(-cv2.solve(information, gradient[:, None])[1][:, 0], np.float64)
         motion = motion.moved_by(step)
         if -float(step @ gradient) < _SMALL_STEP2 * equations.spread2:
             break

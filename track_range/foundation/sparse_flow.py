@@ -261,8 +261,10 @@ class BackgroundFlow:
         if self._detection is not None and time_s - self._detection.time_s < _DETECTION_INTERVAL_S:
             kept = self._kept_corners()
         self.detection_before = self._detection
-        if kept is not None:
+        if kept is not None and self.before is not None:
             corners, detected = kept
+            moved = self._points - self.before.corners.points[: len(self._points)]
+            self._expected = corners.points + moved[self._is_tracked]  # as they moved before
         else:
             corners = ranked_corners(small, is_masked)
             detected = corners.points
