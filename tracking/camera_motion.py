@@ -31,6 +31,7 @@ from track_range.foundation.sparse_flow import BackgroundFlow
 # of reweighting; one more changes real drives by 0.02 px
 _N_SIMILARITY_ROUNDS, _N_ROTATION_ROUNDS = 4, 5
 _SMALL_STEP_PX = 0.005  # change of t in a round after which there is no other one
+_MIN_HOPEFUL = 0.5  # fraction of inliers after two rounds below which nothing becomes a similarity
 # residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)
 _TUKEY = 4.685
 _NEAR_CENTRE = 0.01  # distance / long side below which the direction from the centre means nothing
@@ -167,8 +168,12 @@ def _similarity(
         ]
     )
     growth, t = 0j, complex(_median(flow[0]), _median(flow[1]))
-    for _ in range(_N_SIMILARITY_ROUNDS):
-        weight = _weights(_off_similarity2(points, flow, growth, t), settings.noise_px)
+    for k in range(_N_SIMILARITY_ROUNDS + 1):
+        off2 = _off_similarity2(points, flow, growth, t)
+        n_inliers = int(np.count_nonzero(off2 <= settings.max_residual_px**2))
+        if k == _N_SIMILARITY_ROUNDS or (k > 1 and n_inliers < _MIN_HOPEFUL * len(off2)):
+            break
+        weight = _weights(off2, settings.noise_px)
         total, *sums = (terms @ weight).tolist()
         mean_x, mean_y, mean_square, flow_x, flow_y, along, across = (v / total for v in sums)
         mean, mean_flow = complex(mean_x, mean_y), complex(flow_x, flow_y)
@@ -176,11 +181,8 @@ def _similarity(
         growth = 0j
         if spread_px2 >= min_spread_px**2:
             growth = (complex(along, across) - mean.conjugate() * mean_flow) / spread_px2
-        before, t = t, mean_flow - growth * mean
-        if abs(t - before) < _SMALL_STEP_PX:
-            break
-    off2 = _off_similarity2(points, flow, growth, t)
-    return 1 + growth, t, int(np.count_nonzero(off2 <= settings.max_residual_px**2))
+        t = mean_flow - growth * mean
+    return 1 + growth, t, n_inliers
 
 
 def _off_similarity2(
