@@ -210,12 +210,12 @@ def compensate_camera_motion(filters: BoxFilters, now_from_before: FloatArray) -
     """The filters in pixels of the current frame: a similarity (2, 3) moves centres, rotates rates
     and scales sizes.
     """
-    rotation = now_from_before * [1.0, 1.0, 0.0]
-    scale = _scale(rotation)
-    f, variance = filters, scale**2
+    matrix, shift_px = _of_boxes(now_from_before)
+    scale = float(matrix[2, 2])
+    f, variance = filters, scale * scale
     return BoxFilters(
-        x=transformed(f.x, now_from_before),
-        v=transformed(f.v, rotation),
+        x=f.x.dot(matrix) + shift_px,
+        v=f.v.dot(matrix),
         P_xx=f.P_xx * variance,
         P_xv=f.P_xv * variance,
         P_vv=f.P_vv * variance,
@@ -223,23 +223,26 @@ def compensate_camera_motion(filters: BoxFilters, now_from_before: FloatArray) -
     )
 
 
-def transformed(box_cxcywh: FloatArray, now_from_before: FloatArray) -> FloatArray:
-    """Centres and sizes (..., 4) transformed by a similarity (2, 3) from the previous frame to this
-    one.
+def transformed(xyxy_px: FloatArray, now_from_before: FloatArray) -> FloatArray:
+    """Boxes (..., 4) whose centres and sizes a similarity (2, 3) transforms from the previous frame
+    to this one.
     """
-    rotation, translation_px = now_from_before[:, :2], now_from_before[:, 2]
-    centre = box_cxcywh[..., :2] @ rotation.T + translation_px
-    return np.concatenate([centre, _scale(now_from_before) * box_cxcywh[..., 2:]], axis=-1)
+    matrix, shift_px = _of_boxes(now_from_before)
+    of_edges = _CXCYWH_OF_XYXY.dot(matrix).dot(_XYXY_OF_CXCYWH)
+    return np.asarray(xyxy_px.dot(of_edges) + shift_px.dot(_XYXY_OF_CXCYWH))
+
+
+def _of_boxes(now_from_before: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(4, 4) matrix and (4,) shift that a similarity (2, 3) is for rows cx, cy, w, h."""
+    (a, b, x_px), (c, d, y_px) = now_from_before.tolist()
+    scale = math.sqrt(abs(a * d - b * c))
+    matrix = [[a, c, 0.0, 0.0], [b, d, 0.0, 0.0], [0.0, 0.0, scale, 0.0], [0.0, 0.0, 0.0, scale]]
+    return np.array(matrix), np.array([x_px, y_px, 0.0, 0.0])
 
 
 def cxcywh(xyxy_px: FloatArray) -> FloatArray:
     """(..., 4) cx, cy, w, h of boxes (..., 4)."""
     return np.asarray(xyxy_px.dot(_CXCYWH_OF_XYXY))
-
-
-def _scale(now_from_before: FloatArray) -> float:
-    """Scale of a similarity (2, 3)."""
-    return float(np.sqrt(abs(np.linalg.det(now_from_before[:, :2]))))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

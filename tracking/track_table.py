@@ -7,7 +7,6 @@ where there are embeddings.
 
 import numpy as np
 
-from track_range.detection.boxes import xyxy_from_cxcywh
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
@@ -138,5 +137,5 @@ class TrackTable:
         3).
         """
         self.filters = motion.compensate_camera_motion(self.filters, now_from_before)
-        boxes_px = motion.transformed(motion.cxcywh(self.history.xyxy_px), now_from_before)
-        self.history.boxes[:, :, :4] = xyxy_from_cxcywh(boxes_px)
+        boxes_px = self.history.xyxy_px
+        boxes_px[...] = motion.transformed(boxes_px, now_from_before)

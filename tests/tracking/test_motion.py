@@ -8,10 +8,12 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings, strategies as st
 from scipy.stats import chi2
 
+from track_range.detection.boxes import xyxy_from_cxcywh
 from track_range.tracking.motion import (
     BoxFilters,
     MotionNoise,
     compensate_camera_motion,
+    cxcywh,
     gating_distance,
     initiate,
     predict,
@@ -233,7 +235,8 @@ def test_camera_motion_of_past_boxes() -> None:
         [[np.nan] * 4, [-170.0, 240.0, 80.0, 160.0]],
         [[10.0, 0.0, 4.0, 8.0], [10.0, 2.0, 4.0, 8.0]],
     ]
-    np.testing.assert_allclose(transformed(past, now_from_before), expected)
+    moved = transformed(xyxy_from_cxcywh(past), now_from_before)
+    np.testing.assert_allclose(cxcywh(moved), expected, atol=1e-12)
 
 
 def test_rates_of_persons_sizes_have_a_lower_gain() -> None:
