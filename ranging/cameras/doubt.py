@@ -105,11 +105,12 @@ class Doubt:
             odometry_sigma=math.hypot(self.odometry_sigma, focal_change),
         )
 
-    def widened(self, ego: Ego) -> EgoMotion:
-        """The motion of the camera with the errors of its scale."""
-        motion = ego.motion
+    def widened(self, ego: Ego, motion: EgoMotion) -> EgoMotion:
+        """The `motion` of the camera, as it is corrected, with the errors of its scale."""
         is_given = ego.given is not None and ego.trusts_given
         sigma = self.given_sigma if is_given else self.odometry_sigma
+        if not sigma:
+            return motion
         speed_sigma_mps = math.hypot(motion.speed_sigma_mps, sigma * motion.speed_mps)
         right_sigma_mps = math.hypot(motion.right_sigma_mps, sigma * motion.right_mps)
         return replace(motion, speed_sigma_mps=speed_sigma_mps, right_sigma_mps=right_sigma_mps)

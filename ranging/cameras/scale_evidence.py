@@ -128,7 +128,8 @@ class SizeEvidence:
                 r_variance = size_variance + np.maximum(stereo_variance, 0.0)
             if road is not None:
                 x = (tracks.xyxy_px[:, 0] + tracks.xyxy_px[:, 2]) / 2
-                horizon = road.horizon + road.slope * (x - self._camera.cx_px) / self._camera.fx_px
+                bearing = (x - self._camera.cx_px) / self._camera.fx_px
+                horizon = road.horizon + road.slope * bearing
                 below = (tracks.xyxy_px[:, 3] - self._camera.cy_px) / self._camera.fy_px - horizon
                 offset_m = surface_offset_m(tracks.xyxy_px, tracks.class_id, has_visible_boxes=True)
                 contact_m = by_size.distance_m - offset_m
@@ -136,9 +137,7 @@ class SizeEvidence:
                 q_common = math.sqrt(road.horizon_variance + self._ground.road_sigma_rad**2) / below
                 own = math.hypot(_PITCH_RAD, self._ground.box_sigma_px / self._camera.fy_px) / below
                 right, ahead = road.across
-                across_m = contact_m * (
-                    ahead + right * (x - self._camera.cx_px) / self._camera.fx_px
-                )
+                across_m = contact_m * (ahead + right * bearing)
                 place = self._ground.place_sigma_m(across_m) / (below * contact_m)
                 q_variance = own**2 + place**2 + size_variance
         has_rig = is_used & np.isfinite(r) & np.isfinite(inverse_px)
@@ -146,12 +145,12 @@ class SizeEvidence:
         has_height = is_used & np.isfinite(q) & is_near
         new = np.array([has_rig, r, r_variance, inverse_px, has_height, q, q_variance, q_common])
         state = self._objects.get(tracks.track_id)
-        for rows in (slice(0, 4), slice(4, 8)):
-            n, *values = new[rows]
-            state[rows][0] += n
-            gain = n / np.maximum(state[rows][0], 1.0)
-            for mean, value in zip(state[rows][1:], values, strict=True):
-                mean += gain * (np.where(n > 0, value, 0.0) - mean)
+        # (2, 4, N): by the rig and by contact points, each a number of frames and three means
+        before, added = state[:8].reshape(2, 4, -1), new.reshape(2, 4, -1)
+        n = added[:, :1]
+        before[:, :1] += n
+        values = np.where(n > 0, added[:, 1:], 0.0)
+        before[:, 1:] += n / np.maximum(before[:, :1], 1.0) * (values - before[:, 1:])
         state[8] = tracks.class_id
         stays = np.arange(self._objects.known.shape[1]) < _MAX_OBJECTS
         self._objects.put(tracks.track_id, state, keep_known=stays)

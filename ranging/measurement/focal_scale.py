@@ -32,6 +32,8 @@ class FocalScale:
         """A motion along the stretched axis with the true focal length; a given speed is again as
         given, also if it was stretched by an earlier estimate.
         """
+        if not self.log_factor and math.isnan(motion.stretch):
+            return motion
         factor = self.factor if math.isnan(motion.stretch) else 1.0 / motion.stretch
         return replace(
             motion.scaled(factor), yaw_rad_s=motion.yaw_rad_s / self.factor, stretch=math.nan

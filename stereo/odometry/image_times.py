@@ -17,6 +17,7 @@ of its frame.
 
 import math
 from collections import Counter, deque
+from statistics import median
 from typing import NamedTuple
 
 import cv2
@@ -122,11 +123,11 @@ class ImageTimes:
 
     def _repeats(self, grey: float, block_grey: float) -> bool:
         """Whether an image with these changes, mean and largest, is the last new one once more."""
-        changes = np.array(self._usual).reshape(-1, 2)
-        is_large = changes[:, 0] > _LARGE_FRACTION * changes[:, 0].max(initial=0.0)
-        if is_large.sum() < _MIN_USUAL:
+        largest = max((change for change, _ in self._usual), default=0.0)
+        large = [changes for changes in self._usual if changes[0] > _LARGE_FRACTION * largest]
+        if len(large) < _MIN_USUAL:
             return False
-        usual_grey, usual_block = np.median(changes[is_large], axis=0).tolist()
+        usual_grey, usual_block = (median(changes) for changes in zip(*large, strict=True))
         was_moving = usual_grey >= _MOVING_GREY
         was_steady = self._usual[-1][0] >= _STEADY_FRACTION * usual_grey
         is_equal = block_grey <= max(_BLOCK_GREY, _BLOCK_FRACTION * usual_block)

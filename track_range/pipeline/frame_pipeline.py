@@ -90,8 +90,9 @@ class FramePipeline:
         if image.is_repeated:
             seen = self._predicted(frame, known_ego)
         else:
-            shown = detected._replace(frame=replace(frame, time_s=time_s))
-            seen = self._measured(shown, known_ego, has_sure_time=image.is_sure)
+            if time_s != frame.time_s:
+                detected = detected._replace(frame=replace(frame, time_s=time_s))
+            seen = self._measured(detected, known_ego, has_sure_time=image.is_sure)
         tracks, ego, measured = seen.tracks, seen.ego, seen.measured
         doubt, scale = self.doubt, self.scale
         if not image.is_repeated:
@@ -108,8 +109,7 @@ class FramePipeline:
             ranges = reported(measured, fused, filtered, doubt, scale.focal)
             approach = Approach.of(filtered.fused, doubt.closing_sigma)
         with stage("world"):
-            motion = scale.focal.corrected_motion(ego.motion)
-            moved = doubt.widened(replace(ego, motion=motion))
+            moved = doubt.widened(ego, scale.focal.corrected_motion(ego.motion))
             world = self.world.update(tracks, filtered, ranges, moved, time_s, scale.focal)
         with stage("alarm"):
             alarms = self.alarming.update(

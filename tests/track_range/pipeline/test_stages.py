@@ -205,11 +205,11 @@ def test_speed_alone_in_doubt_is_not_used_and_widens_no_distance():
 
 def test_speeds_have_the_errors_of_their_scale():
     doubt = Doubt(odometry_sigma=0.3, given_sigma=0.1)
-    odometry = doubt.widened(Ego(motion=KNOWN))
+    odometry = doubt.widened(Ego(motion=KNOWN), KNOWN)
     assert odometry.speed_sigma_mps == pytest.approx(math.hypot(0.2, 0.3 * 12.0))
-    given = doubt.widened(Ego(motion=KNOWN, given=KNOWN, trusts_given=True))
+    given = doubt.widened(Ego(motion=KNOWN, given=KNOWN, trusts_given=True), KNOWN)
     assert given.speed_sigma_mps == pytest.approx(math.hypot(0.2, 0.1 * 12.0))
-    assert Doubt().widened(Ego(motion=KNOWN)) == KNOWN
+    assert Doubt().widened(Ego(motion=KNOWN), KNOWN) == KNOWN
 
 
 # -- Filters, world, alarms
