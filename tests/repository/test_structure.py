@@ -22,7 +22,7 @@ MOST_STATEMENTS = {
     # exact INT8 networks on CPUs without VNNI (1)
     "detection": 8_359,
     # riders whose name changes (17)
-    "tracking": 1_599,  # frames that could not show small objects (4)
+    "tracking": 1_601,  # frames that could not show small objects (4)
     # packed assignments became a line for each value (50); the alignment below rigs (10); what a
     # pair shows and its consequence apart (10); guesses of focal lengths and the ego speed, which
     # recordings need (60); values of calibrations that know their file and key, and a module for
@@ -59,7 +59,7 @@ MOST_STATEMENTS = {
     # the speed as a state with the dynamic of drivers, in place of four rules (+31)
     # cuts to another scene (42); the largest usable sigma of an ego speed, in one place (1)
     # pixels of all boxes in flat arrays, where neighbours are offsets (42)
-    "stereo": 9_911,
+    "stereo": 9_912,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
@@ -91,7 +91,7 @@ MOST_STATEMENTS = {
     # settings of the warning check themselves (3)
     # arrays of all body types and yaws of a frame's boxes, and their selection by a sort (25); slopes
     # of patches (12); references of the drive's scale and contacts of both roads at once (20)
-    "ranging": 7_527,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 7_530,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     "api": 106,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
