@@ -24,6 +24,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32
@@ -54,6 +55,7 @@ _MAX_STEP_PX = 0.75  # largest |s| of a confirmed window, px of the tile
 _MIN_GAIN = 0.3
 _MAX_SIGMA_PX = 0.2  # largest standard deviation of d of a confirmed window, px of the tile
 _UNCONFIRMED_SIGMA_PX = 0.2  # of a window that keeps its census disparity, px of the tile
+_BINOMIAL = np.array([0.25, 0.5, 0.25], np.float32)
 # smallest variance of a smoothed grey value: rounding or compression, 1 level before smoothing
 _MIN_NOISE_GREY2 = 0.14
 # Factor on the variance, because smoothing correlates the noise of neighbours, which least squares
@@ -120,22 +122,13 @@ def refine_surface(
 
 
 def _smooth(grey: Grey) -> FloatArray32:
-    """(W - 2, N, H) of (W, N, H), by the binomial filter 1 2 1 on both axes: the cubic then
-    interpolates well. The first and the last row have no meaning.
+    """(W, N, H) grey values smoothed by the binomial filter 1 2 1 on both axes: the cubic then
+    interpolates well. The first and the last row of a box have no meaning.
     """
-    n_columns, n, height = grey.shape
-    column = n * height
-    values = grey.reshape(-1).astype(np.uint16)
-    # In flat arrays, neighbours have constant offsets.
-    down = values[:-2] + values[2:]
-    down += values[1:-1]
-    down += values[1:-1]
-    smooth = np.zeros((n_columns - 2) * column, np.float32)
-    both = down[: -2 * column] + down[2 * column :]
-    both += down[column:-column]
-    both += down[column:-column]
-    np.multiply(both, np.float32(1 / 16), out=smooth[1:-1])
-    return smooth.reshape(-1, n, height)
+    # The rows of all boxes are one axis of an image.
+    columns = grey.reshape(len(grey), -1)
+    smooth = cv2.sepFilter2D(columns, cv2.CV_32F, _BINOMIAL, _BINOMIAL)
+    return np.asarray(smooth, np.float32).reshape(grey.shape)
 
 
 class _Vertical(NamedTuple):
@@ -187,7 +180,7 @@ class _Equations(NamedTuple):
     def of(cls, tiles: BoxTiles) -> _Equations:
         (height, width), n = tiles.shape.hw, tiles.both.shape[1]
         grey = _smooth(tiles.both)
-        columns, rows = slice(MARGIN_PX - 1, MARGIN_PX - 1 + width), slice(MARGIN_PX, -MARGIN_PX)
+        columns, rows = slice(MARGIN_PX, MARGIN_PX + width), slice(MARGIN_PX, -MARGIN_PX)
         # small numbers keep the precision of 32 bits
         some = grey[columns, :, rows][::4, :, ::4]
         mean = some.sum(axis=(0, 2)) / np.float32(some[:, 0].size)
@@ -197,7 +190,7 @@ class _Equations(NamedTuple):
         l, g, _, _, _, h = values[:6]  # noqa: E741
         l[:] = grey[columns, :, rows]
         np.subtract(
-            grey[MARGIN_PX:, :, rows][:width], grey[MARGIN_PX - 2 :, :, rows][:width], out=g
+            grey[MARGIN_PX + 1 :, :, rows][:width], grey[MARGIN_PX - 1 :, :, rows][:width], out=g
         )
         np.subtract(
             grey[columns, :, MARGIN_PX + 1 : 1 - MARGIN_PX],
@@ -261,9 +254,9 @@ class _Equations(NamedTuple):
         index = columns.astype(np.float32)[:, :, None] + rows.astype(np.float32)
         np.maximum(index, np.float32(1.0), out=index)
         np.minimum(index, np.float32(self.tiles.n_disparities - 2), out=index)
-        # The strip follows the left tile with its margins; `grey` has lost the first column. The
-        # first of the four pixels is in the column before.
-        zero = self.tiles.shape.hw[1] + 3 * MARGIN_PX + self.tiles.n_disparities - 3
+        # The strip follows the left tile with its margins. The first of the four pixels is in the
+        # column before.
+        zero = self.tiles.shape.hw[1] + 3 * MARGIN_PX + self.tiles.n_disparities - 2
         first = np.arange(zero, zero + width * step, step, dtype=np.float32)
         t = np.subtract(first[:, None, None], index, out=index)
         column = np.floor(t)

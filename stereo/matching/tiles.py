@@ -107,9 +107,7 @@ class BoxTiles:
 
     def pixel_positions(self) -> tuple[FloatArray, FloatArray]:
         """U (W, N) of the columns and v (N, H) of the rows of the tiles, without the margin."""
-        (height, width), (cell_height, cell_width) = self.shape.hw, self.shape.cell_hw
-        column = (np.arange(width) + 0.5 - cell_width) / cell_width
-        row = (np.arange(height) + 0.5 - cell_height) / cell_height
+        row, column = (_pixels_in_cells(cell) for cell in self.shape.cell_hw)
         step_u, step_v = self.u[:, 1] - self.u[:, 0], self.v[:, N_SIDE] - self.v[:, 0]
         return self.u[:, 0] + column[:, None] * step_u, self.v[:, :1] + row * step_v[:, None]
 
@@ -265,6 +263,12 @@ def window_sums(
     sums = across @ _window_matrix(cell_hw[0])
     by_box = sums.reshape(n_arrays, N_SIDE, n, N_SIDE).transpose(0, 2, 3, 1)
     return np.asarray(by_box.reshape(n_arrays, n, N_WINDOWS))
+
+
+@lru_cache
+def _pixels_in_cells(cell: int) -> FloatArray:
+    """(8 * cell,) places of the pixels along one axis from the centre of the first window, in cells."""
+    return (np.arange(N_CELLS * cell) + 0.5 - cell) / cell
 
 
 @lru_cache
