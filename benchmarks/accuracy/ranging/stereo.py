@@ -1,5 +1,5 @@
-"""Stereo matching: time of the patch matcher and of dense matching on one thread, and accuracy on
-exact truth.
+"""Stereo matching: processor time of the patch matcher and of dense matching on one thread, and
+accuracy on exact truth.
 """
 
 from __future__ import annotations
@@ -143,16 +143,16 @@ def _boxes(
 
 
 def _speed(scenes: list[SpeedScene], n_rounds: int) -> dict[str, Any]:
-    """Median time of each job in ms, and ratios of dense matching to the patch matcher."""
+    """Median processor time of each job in ms, and ratios of dense matching to the patch matcher."""
     times: dict[str, list[float]] = {}
     for number in range(n_rounds + 1):  # the first round is a warm-up
         for scene in scenes:
             jobs = list(_jobs(scene).items())
             for name, job in jobs if number % 2 else reversed(jobs):
-                start_s = time.perf_counter()
+                start_s = time.process_time()
                 job()
                 if number:
-                    times.setdefault(name, []).append(1e3 * (time.perf_counter() - start_s))
+                    times.setdefault(name, []).append(1e3 * (time.process_time() - start_s))
     ms = {name: statistics.median(times[name]) for name in _jobs(scenes[0])}
     dense = {mode: ms[f"dense {mode}"] for mode in MODES}
     ratios = {
