@@ -55,7 +55,7 @@ _MAX_STEP_PX = 0.75  # largest |s| of a confirmed window, px of the tile
 _MIN_GAIN = 0.3
 _MAX_SIGMA_PX = 0.2  # largest standard deviation of d of a confirmed window, px of the tile
 _UNCONFIRMED_SIGMA_PX = 0.2  # of a window that keeps its census disparity, px of the tile
-_BINOMIAL = np.array([0.25, 0.5, 0.25], np.float32)
+_BINOMIAL, _MIDDLE_GREY = np.array([0.25, 0.5, 0.25], np.float32), 128.0
 # smallest variance of a smoothed grey value: rounding or compression, 1 level before smoothing
 _MIN_NOISE_GREY2 = 0.14
 # Factor on the variance, because smoothing correlates the noise of neighbours, which least squares
@@ -124,10 +124,12 @@ def refine_surface(
 def _smooth(grey: Grey) -> FloatArray32:
     """(W, N, H) grey values smoothed by the binomial filter 1 2 1 on both axes: the cubic then
     interpolates well. The first and the last row of a box have no meaning.
+
+    They are about 0, since sums of small numbers keep the precision of 32 bits.
     """
     # The rows of all boxes are one axis of an image.
     columns = grey.reshape(len(grey), -1)
-    smooth = cv2.sepFilter2D(columns, cv2.CV_32F, _BINOMIAL, _BINOMIAL)
+    smooth = cv2.sepFilter2D(columns, cv2.CV_32F, _BINOMIAL, _BINOMIAL, delta=-_MIDDLE_GREY)
     return np.asarray(smooth, np.float32).reshape(grey.shape)
 
 
@@ -167,12 +169,12 @@ class _Equations(NamedTuple):
     the model; s absorbs t <g, h> / <g, g>.
     """
 
-    # (9, W, N, H) left grey values l, less the tile's mean, their derivative g along the row, the
+    # (9, W, N, H) left grey values l, less the middle grey, their derivative g along the row, the
     # products l l, g g and g l; their derivative h down the column, h l, h g and h h
     values: FloatArray32
     sums: FloatArray  # (9, N, G) their sums over the windows' pixels
     some_sums: FloatArray  # (5, N, G) sums of l, g, l l, g g and g l of every third column
-    grey: FloatArray32  # (W', N, H + 8) grey values of both images, less the same mean
+    grey: FloatArray32  # (W', N, H + 8) grey values of both images, less the middle grey
     tiles: BoxTiles
     positions: tuple[FloatArray, FloatArray]  # u (W, N) of the columns and v (N, H) of the rows
 
@@ -181,11 +183,6 @@ class _Equations(NamedTuple):
         (height, width), n = tiles.shape.hw, tiles.both.shape[1]
         grey = _smooth(tiles.both)
         columns, rows = slice(MARGIN_PX, MARGIN_PX + width), slice(MARGIN_PX, -MARGIN_PX)
-        # small numbers keep the precision of 32 bits
-        some = grey[columns, :, rows][::4, :, ::4]
-        mean = some.sum(axis=(0, 2)) / np.float32(some[:, 0].size)
-        by_column = grey.reshape(len(grey), -1)
-        by_column -= np.repeat(mean, grey.shape[2])
         values = np.empty((9, width, n, height), np.float32)
         l, g, _, _, _, h = values[:6]  # noqa: E741
         l[:] = grey[columns, :, rows]
@@ -252,22 +249,20 @@ class _Equations(NamedTuple):
         columns = p0 + column_u[::step] * (p1 + p3 * column_u[::step])
         rows = row_v * (p2[:, None] + p4[:, None] * row_v)
         index = columns.astype(np.float32)[:, :, None] + rows.astype(np.float32)
-        np.maximum(index, np.float32(1.0), out=index)
-        np.minimum(index, np.float32(self.tiles.n_disparities - 2), out=index)
+        np.clip(index, 1.0, self.tiles.n_disparities - 2.0, out=index)
         # The strip follows the left tile with its margins. The first of the four pixels is in the
         # column before.
         zero = self.tiles.shape.hw[1] + 3 * MARGIN_PX + self.tiles.n_disparities - 2
         first = np.arange(zero, zero + width * step, step, dtype=np.float32)
         t = np.subtract(first[:, None, None], index, out=index)
-        column = np.floor(t)
-        t -= column
-        # its place in the flat array
+        place = np.floor(t)
+        t -= place
+        # from columns to places in the flat array, which 32 bits can hold
         n_per_column = n * padded_height
-        place = column.reshape(width, -1).astype(np.int64)
-        place *= n_per_column
         box, row = np.arange(n)[:, None], np.arange(MARGIN_PX, MARGIN_PX + height)
-        place += (box * padded_height + row).reshape(-1)
-        place = place.reshape(out.shape)
+        place *= np.float32(n_per_column)
+        place += (box * padded_height + row).astype(np.float32)
+        place = place.astype(np.int64)
         pixels = self.grey.reshape(-1)
         at = pixels[n_per_column:].take(place, mode="wrap")
         after = pixels[2 * n_per_column :].take(place, mode="wrap")
@@ -278,26 +273,20 @@ class _Equations(NamedTuple):
             return out
         before = pixels.take(place, mode="wrap")
         next_after = pixels[3 * n_per_column :].take(place, mode="wrap")
-        # at + t (c1 + t (c2 + t c3))
-        c3 = at - after
-        c3 *= np.float32(3)
-        c3 += next_after
-        c3 -= before
-        c3 *= np.float32(1 / 6)
-        c2 = before
-        c2 += after
-        c2 *= np.float32(0.5)
-        c2 -= at
-        c1 = after
-        c1 -= at
-        c1 -= c2
-        c1 -= c3
-        np.multiply(c3, t, out=out)
-        for coefficient in (c2, c1):
-            out += coefficient
-            out *= t
-        out += at
-        return out
+        # at + t (slope + (t - 1) / 6 (3 bend + (t + 1) twist)), with the first three differences
+        slope = after - at
+        bend = at - before
+        np.subtract(slope, bend, out=bend)
+        twist = next_after - after
+        twist -= slope
+        twist -= bend
+        twist *= t + np.float32(1)
+        bend *= np.float32(3)
+        twist += bend
+        twist *= (t - np.float32(1)) * np.float32(1 / 6)
+        twist += slope
+        twist *= t
+        return np.asarray(np.add(twist, at, out=out))
 
 
 def _by_window(values: FloatArray32, tiles: BoxTiles, column_step: int = 1) -> FloatArray:

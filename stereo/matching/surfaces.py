@@ -167,16 +167,18 @@ def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles) -> Sur
         _SAME_SURFACE_FRACTION * (tiles.first[:, None] + index), _SAME_SURFACE_PX
     )
     near_object = np.exp(-8.0 * u**2 - 8.0 * (v - _LOWER_MIDDLE) ** 2)
-    agree = (np.abs(index[:, None, :] - index[:, :, None]) <= tolerance[:, :, None]).astype(
-        np.float64
-    )
+    # (N, G, G); half of the bytes in 32 bits
+    index_32 = index.astype(np.float32)
+    distance = np.abs(index_32[:, None] - index_32[:, :, None])
+    agree = (distance <= tolerance.astype(np.float32)[:, :, None]).astype(np.float32)
     central, terms = centre_weights(u, v), surface_terms(u, v)
 
     def most_supported(free: FloatArray) -> tuple[BoolArray, tuple[FloatArray, FloatArray]]:
         """Windows (N, G) that agree with the window of most support among the free windows, its
         disparity and its tolerance (N, 1).
         """
-        support = np.where(free > 0, (agree @ (free * near_object)[:, :, None])[..., 0], 0.0)
+        vote = (free * near_object).astype(np.float32)
+        support = np.where(free > 0, (agree @ vote[:, :, None])[..., 0], np.float32(0.0))
         best = support.argmax(axis=1) + first_window
         best_index, limit = index.take(best)[:, None], tolerance.take(best)[:, None]
         return (free > 0) & (np.abs(index - best_index) <= limit), (best_index, limit)
