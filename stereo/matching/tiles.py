@@ -218,26 +218,12 @@ def _resampled(left: Image, right: ImageView, edges: FloatArray, tile_hw: tuple[
         else:
             tile, strip = grey(tile), grey(strip)
         # One call resamples both: their widths are whole pixels of the image and of the tile.
-        both[i] = _shrunk(np.asarray(cv2.hconcat((tile, strip)), np.uint8), tile_hw)
+        row = cv2.hconcat((tile, strip))
+        if row.shape != tile_hw:
+            row = cv2.resize(row, tile_hw[::-1], interpolation=cv2.INTER_AREA)
+        both[i] = row
     columns = cv2.transpose(both.reshape(-1, tile_hw[1]))
     return np.asarray(columns, np.uint8).reshape(-1, n, tile_hw[0])
-
-
-def _shrunk(grey: Image, hw: tuple[int, int]) -> Image:
-    """Means of grey values, shrunk to a height and width.
-
-    They are halved first while they are more than twice as large: OpenCV halves images in a tenth of
-    the time of other scales.
-    """
-    height, width = hw
-    while grey.shape[0] > 2 * height or grey.shape[1] > 2 * width:
-        half_width = grey.shape[1] // (2 if grey.shape[1] >= 2 * width else 1)
-        half_height = grey.shape[0] // (2 if grey.shape[0] >= 2 * height else 1)
-        halved = cv2.resize(grey, (half_width, half_height), interpolation=cv2.INTER_LINEAR)
-        grey = np.asarray(halved, np.uint8)
-    if grey.shape == hw:
-        return grey
-    return np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _padded_grey(image: Image, border: tuple[int, int, int, int]) -> Grey:
