@@ -92,12 +92,12 @@ def fit_motion(
     fit = None if start is None else _refined(points, start)
     if fit is None or fit.spread2 > _SURE_SPREAD2 or fit.is_static.mean() < _SURE_FRACTION:
         fit = _refined(points, _of_triples(points, rng))
-    by_offset = -fit.inverse @ fit.by_offset
+    by_offset = -fit.inverse @ fit.equations.information[:6, 6]
     return MotionFit(
         fit.motion,
         np.asarray(fit.inverse * fit.spread2, np.float64),
         np.asarray(by_offset, np.float64),
-        _offset(points, fit.motion, expected_offset),
+        _offset(points, fit, expected_offset),
         fit.is_static,
         math.sqrt(fit.spread2),
     )
@@ -107,10 +107,15 @@ class _Refined(NamedTuple):
     """A motion that fits the points near it best."""
 
     motion: RigidMotion
+    before: RigidMotion  # before the last, small step
+    equations: _Equations  # at the motion before this step
     inverse: FloatArray  # (6, 6) inverse of its information
-    by_offset: FloatArray  # (6,) information shared with a common error of all inverse depths
     is_static: BoolArray  # (N,) which points agree with it
-    spread2: float  # ratio of the squared residuals to those expected, at least 1
+
+    @property
+    def spread2(self) -> float:
+        """Ratio of the squared residuals to those expected, at least 1."""
+        return self.equations.spread2
 
 
 def _refined(points: _Points, motion: RigidMotion) -> _Refined:
@@ -119,16 +124,14 @@ def _refined(points: _Points, motion: RigidMotion) -> _Refined:
         equations = points.equations(motion)
         information, gradient = equations.information[:6, :6].copy(), equations.gradient[:6]
         step = np.asarray(-cv2.solve(information, gradient[:, None])[1][:, 0], np.float64)
-        motion = motion.moved_by(step)
+        before, motion = motion, motion.moved_by(step)
         if -float(step @ gradient) < _SMALL_STEP2 * equations.spread2:
             break
     inverse = np.asarray(np.linalg.inv(information), np.float64)
     is_static = equations.distance2 <= _MAX_DISTANCE2 * equations.spread2
     # the camera has not passed the point
     is_static &= motion.moved(points.rays, points.inverse_depth)[:, 2] > MIN_RATIO
-    return _Refined(
-        motion, inverse, equations.information[:6, 6], np.asarray(is_static), equations.spread2
-    )
+    return _Refined(motion, before, equations, inverse, np.asarray(is_static))
 
 
 class _Equations(NamedTuple):
@@ -186,13 +189,14 @@ class _Points(NamedTuple):
         return np.asarray(_N_CELLS[1] * column + row)
 
 
-def _offset(points: _Points, motion: RigidMotion, offset: float) -> tuple[float, float]:
+def _offset(points: _Points, fit: _Refined, offset: float) -> tuple[float, float]:
     """The common error of all inverse depths that fits best, with the motion that fits it, and its
     standard deviation; NaN = unknown. The search starts from a motion and an error.
     """
-    sigma = math.nan
-    for _ in range(_N_OFFSET_ROUNDS):
-        equations = points.equations(motion, offset)
+    sigma, motion, equations = math.nan, fit.before, fit.equations
+    for k in range(_N_OFFSET_ROUNDS):
+        if k or offset:
+            equations = points.equations(motion, offset)
         if not equations.information[6, 6] > 0:
             return math.nan, math.nan
         covariance = np.linalg.inv(equations.information)
