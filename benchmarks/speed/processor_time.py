@@ -196,8 +196,9 @@ def processor_time(options: Namespace) -> Figures:
         keys = ("on a core", "queued", "input", "room")
         waits[name] = {
             thread: {key: ms.get(key, 0.0) for key in keys}
-            | {"other": ms.get("on a core", 0.0) - sum(ms.get(step, 0.0) for step in STEPS)}
+            | {"other": ms["on a core"] - sum(ms.get(step, 0.0) for step in STEPS)}
             for thread, ms in by_thread.items()
+            if "on a core" in ms  # else it ended, and the system forgot its counts
         }
     return {"steps_ms": steps, "threads_ms": waits}
 

@@ -50,17 +50,15 @@ class CsvWriter(RowWriter):
 
     def rows(self, result: FrameResult) -> str:
         """The rows of a frame."""
-        values = self._reader.read(result)
-        numbers, others = iter(values.numbers.tolist()), iter(values.others)
+        values = {
+            kind: iter(of_kind.tolist()) for kind, of_kind in self._reader.read(result).items()
+        }
         cells: list[Sequence[float | str]] = []
         for column in self._reader.columns:
-            if column.kind == "number":
-                cells.append(next(numbers))
-            elif column.kind == "name":
-                codes = next(others).tolist()
-                cells.append(["" if isnan(code) else column.names[int(code)] for code in codes])
-            else:
-                cells.append(next(others).tolist())
+            of_column = next(values[column.kind])
+            if column.kind == "name":
+                of_column = ["" if isnan(code) else column.names[int(code)] for code in of_column]
+            cells.append(of_column)
         # formatted line by line; names of classes and states do not contain "nan"
         return "".join([self._line % row for row in zip(*cells, strict=True)]).replace("nan", "")
 

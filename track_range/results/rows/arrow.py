@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from itertools import count
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from track_range.results.rows.column import DTYPES, FrameValues, ResultColumn
+from track_range.results.rows.column import (
+    DTYPES,
+    STORED,
+    ColumnKind,
+    FrameValues,
+    ResultColumn,
+)
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -43,33 +50,38 @@ def record_batch(
     """
     import pyarrow as pa
 
-    n_rows = sum(frame.numbers.shape[1] for frame in frames)
-    numbers = _joined([frame.numbers for frame in frames], np.float64)
-    # columns are parts of one array, since creating an array takes longer than a part of one
-    all_numbers = pa.array(numbers.ravel(), from_pandas=True)  # NaN becomes null
-    arrays, begin, n_others = [], 0, 0
+    # columns are parts of one array of their kind: creating an array takes longer than a part of one
+    parts = {kind: _parts(frames, kind) for kind in STORED}
+    arrays = []
     for column in columns:
-        if column.kind == "number":
-            arrays.append(all_numbers.slice(begin, n_rows))
-            begin += n_rows
-            continue
-        others = [frame.others[n_others] for frame in frames]
-        n_others += 1
+        array = next(parts[column.kind])
         if column.kind == "name":
-            values = _joined(others, np.float64)
-            is_unknown = np.isnan(values)
-            codes = pa.array(np.where(is_unknown, 0, values).astype(np.int8), mask=is_unknown)
-            arrays.append(pa.DictionaryArray.from_arrays(codes, pa.array(column.names)))
-        else:
-            arrays.append(pa.array(_joined(others, DTYPES[column.kind])))
+            array = pa.DictionaryArray.from_arrays(array, _names(column.names))
+        arrays.append(array)
     return pa.record_batch(arrays, schema=schema)
 
 
-def _joined(parts: Sequence[npt.NDArray[Any]], dtype: Any) -> npt.NDArray[Any]:
-    """The values of all frames, whose rows are the last axis; empty without frames."""
-    if not parts:
-        return np.zeros(0, dtype)
-    return np.concatenate(parts, axis=-1, dtype=dtype, casting="unsafe")
+def _parts(frames: Sequence[FrameValues], kind: ColumnKind) -> Iterator[pa.Array]:
+    """The rows of all frames of the columns of a kind, one after the other."""
+    import pyarrow as pa
+
+    no_rows = np.zeros((0, 0), STORED[kind])
+    values = np.concatenate([frame[kind] for frame in frames], axis=1) if frames else no_rows
+    if kind == "name":
+        is_unknown = np.isnan(values).ravel()
+        codes = np.where(is_unknown, 0, values.ravel()).astype(np.int8)
+        array = pa.array(codes, mask=is_unknown)
+    else:
+        array = pa.array(values.ravel(), from_pandas=True)  # NaN becomes null
+    n_rows = values.shape[1]
+    return (array.slice(number * n_rows, n_rows) for number in count())
+
+
+@cache  # of few columns
+def _names(names: tuple[str, ...]) -> pa.Array:
+    import pyarrow as pa
+
+    return pa.array(names)
 
 
 def rounded_batch(batch: pa.RecordBatch, columns: Sequence[ResultColumn]) -> pa.RecordBatch:

@@ -5,12 +5,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from operator import attrgetter
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.frame_result import FrameResult
 
 ColumnKind = Literal["number", "whole", "flag", "name"]
@@ -22,6 +21,9 @@ DTYPES: Mapping[ColumnKind, Any] = {
     "name": np.str_,
 }
 """Types of the values in `Rows`."""
+
+STORED: Mapping[ColumnKind, Any] = {**DTYPES, "name": np.float64}
+"""Types of the values of frames, in which a name is its index."""
 
 _UNKNOWN: Mapping[ColumnKind, Any] = {"number": math.nan, "whole": 0, "flag": False, "name": ""}
 
@@ -93,27 +95,27 @@ class ResultColumn:
         return f"%.{self.decimals}f" if self.kind == "number" else "%d"
 
 
-class FrameValues(NamedTuple):
-    """Values of the rows of the N tracks of one frame, not rounded, in arrays of their own."""
-
-    numbers: FloatArray  # (K, N) of the K columns of numbers, in their order; NaN = not measured
-    others: list[npt.NDArray[Any]]  # (N,) of each other column; a name is its index, NaN = unknown
+# values of the rows of the N tracks of one frame, not rounded, in arrays of their own: (K, N) by
+# kind of the K columns of this kind, in their order; a name is its index; NaN = unknown
+FrameValues = Mapping[ColumnKind, npt.NDArray[Any]]
 
 
 class RowReader:
-    """Reads all columns of a frame, in one array for those of numbers: there are about a hundred."""
+    """Reads all columns of a frame, in one array for those of a kind: there are about a hundred."""
 
     def __init__(self, columns: Sequence[ResultColumn]) -> None:
         self.columns = columns
-        numbers = [column.place for column in columns if column.kind == "number"]
-        others = [column.place for column in columns if column.kind != "number"]
-        self._n_numbers = len(numbers)
+        by_kind = {kind: [one.place for one in columns if one.kind == kind] for kind in DTYPES}
+        places = [place for of_kind in by_kind.values() for place in of_kind]
         # most are attributes, which are read with one call
-        attributes = [place for place in (*numbers, *others) if _is_attribute(place)]
+        attributes = [place for place in places if _is_attribute(place)]
         self._attributes = attrgetter(*attributes)
-        parts = [place for place in (*numbers, *others) if not _is_attribute(place)]
+        parts = [place for place in places if not _is_attribute(place)]
         self._parts = [_reader(place) for place in parts]
-        self._order = [[*attributes, *parts].index(place) for place in (*numbers, *others)]
+        order = [*attributes, *parts]
+        self._order = {
+            kind: [order.index(place) for place in of_kind] for kind, of_kind in by_kind.items()
+        }
 
     def read(self, result: FrameResult) -> FrameValues:
         """The values of the rows of a frame."""
@@ -124,12 +126,12 @@ class RowReader:
         arrays = [
             value if isinstance(value, np.ndarray) else np.full(n_tracks, value) for value in values
         ]
-        ordered = [arrays[place] for place in self._order]
-        numbers = np.concatenate(ordered[: self._n_numbers], dtype=np.float64)
-        return FrameValues(
-            numbers.reshape(self._n_numbers, n_tracks),
-            [array.copy() for array in ordered[self._n_numbers :]],
-        )
+        return {
+            kind: np.concatenate(
+                [arrays[place] for place in order], dtype=STORED[kind], casting="unsafe"
+            ).reshape(len(order), n_tracks)
+            for kind, order in self._order.items()
+        }
 
 
 def _is_attribute(place: str) -> bool:

@@ -57,21 +57,18 @@ def test_method_whose_columns_have_the_names_of_others_is_refused(name):
 
 def test_a_frame_is_read_at_once_as_column_by_column():
     frame, declared = result(3), columns.result_columns()
-    values = RowReader(declared).read(frame)
-    numbers = [column for column in declared if column.kind == "number"]
-    others = [column for column in declared if column.kind != "number"]
-    for row, column in zip(values.numbers, numbers, strict=True):
-        np.testing.assert_array_equal(row, column.read(frame), err_msg=column.name)
-    for row, column in zip(values.others, others, strict=True):
-        np.testing.assert_array_equal(row, column.read(frame), err_msg=column.name)
+    values = {kind: iter(rows) for kind, rows in RowReader(declared).read(frame).items()}
+    for column in declared:
+        expected = column.read(frame)
+        np.testing.assert_array_equal(next(values[column.kind]), expected, err_msg=column.name)
+    assert not [row for rows in values.values() for row in rows]
 
 
 def test_values_of_a_frame_are_copies():
     frame = result(3)
     values = RowReader(columns.result_columns()).read(frame)
     arrays = [frame.tracks.xyxy_px, frame.tracks.score, frame.tracks.track_id]
-    read = [values.numbers, *values.others]
-    assert not any(np.shares_memory(array, one) for array in arrays for one in read)
+    assert not any(np.shares_memory(array, one) for array in arrays for one in values.values())
 
 
 def test_names_do_not_look_like_numbers_that_are_unknown():
