@@ -190,7 +190,7 @@ def _rows_reaching(values: FloatArray32, threshold: np.float32) -> IntArray:
     rows = np.flatnonzero(~(values.ravel() < threshold)) // values.shape[1]
     is_first = np.ones(len(rows), np.bool_)
     is_first[1:] = rows[1:] != rows[:-1]
-    return rows[is_first]
+    return np.asarray(rows[is_first])
 
 
 def _activated(values: FloatArray32, activation: Activation) -> FloatArray | FloatArray32:

@@ -20,6 +20,7 @@ MOST_STATEMENTS = {
     # sizes that an input of fixed size does not take (3)
     # what never moves in the images, and the boxes on it (123)
     # exact INT8 networks on CPUs without VNNI (1)
+    # rows of boxes found by one comparison, and grids without any left out (15)
     "detection": 8_359,
     # riders whose name changes (17)
     "tracking": 1_601,  # frames that could not show small objects (4)
@@ -163,6 +164,7 @@ MOST_STATEMENTS = {
     # sentences of events with sigmas, predictions as such, and what is not known (36)
     # columns that were added after all others, before those of packages (2)
     # settings of events check themselves (3)
+    # columns read at once by kind, and lines formatted at once (48)
     "results": 2_734,
     # imports of one file for each idea of the settings (45); the parts of a run report, each in a class
     # of its own with what it imports (205); the options of its recording (15); notes on packages
