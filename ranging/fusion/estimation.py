@@ -153,25 +153,25 @@ def least_squares(used: Measurements, track: TrackBiases, model: ErrorModel) -> 
         * used.sigma
         * (model.systematic_covariance * track.C + model.independent_covariance)
     )
-    n_valid = used.valid.sum(axis=0)
+    n_valid = np.add.reduce(used.valid, axis=0, dtype=np.int64)
 
     A_inv = _inverse(A, used.valid)
-    A_inv_1 = A_inv.sum(axis=1) * used.valid  # A^-1 1
-    information = np.maximum(A_inv_1.sum(axis=0), _TINY)  # 1' A^-1 1
+    A_inv_1 = np.add.reduce(A_inv, axis=1) * used.valid  # A^-1 1
+    information = np.maximum(np.add.reduce(A_inv_1), _TINY)  # 1' A^-1 1
     w, variance = A_inv_1 / information, 1.0 / information
     P = A_inv - A_inv_1[:, None] * w
     one, other = used.valid[model.similar]
     if (one & other).any():
         w = _without_extrapolation(w, A, used.valid, model.similar)
         variance = np.einsum("in,ijn,jn->n", w, A, w)
-    log_m = (w * y).sum(axis=0)
+    log_m = np.add.reduce(w * y)
 
     difference = (y - log_m) * used.valid  # P 1 = 0, so P y = P (y - log d), from smaller numbers
-    residual = (P * difference).sum(axis=1)
+    residual = np.add.reduce(P * difference, axis=1)
     m, n = residual.shape
     own = P.reshape(m * m, n)[:: m + 1]  # P_ii
     t2 = (residual * residual / np.maximum(own, _TINY)).max(axis=0)
-    chi2_per_dof = (difference * residual).sum(axis=0) / np.maximum(n_valid - 1, 1)
+    chi2_per_dof = np.add.reduce(difference * residual) / np.maximum(n_valid - 1, 1)
     return Estimate(log_m, variance, k, y, A, P, residual, t2, chi2_per_dof, n_valid)
 
 

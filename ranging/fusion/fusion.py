@@ -136,6 +136,8 @@ class Fusion:
         methods.
         """
         self._model = ErrorModel.of(registry.methods() if methods is None else methods)
+        # pairs of methods of which the first is not used where the second measures
+        self._superseded = np.argwhere(self._model.superseded_by).tolist()
         self._tracks = TrackState(TrackBiases.initial_column(self._model))
 
     def fuse(self, by_method: Mapping[str, Ranges], track_id: IntArray, time_s: float) -> Fused:
@@ -154,15 +156,14 @@ class Fusion:
         track = track.decayed(np.exp(elapsed_s / -_MEMORY_S), model)
 
         # Select methods, estimate, reject outliers.
-        is_fallback = np.array(
-            [name not in by_method or by_method[name].is_fallback for name in model.names]
-        )
-        superseded = (model.superseded_by[:, :, None] & measured.valid).any(axis=1) & is_fallback[
-            :, None
-        ]
-        usable = measured.valid & ~superseded
+        usable = measured.valid.copy()
+        for fallback, other in self._superseded:
+            ranges = by_method.get(model.names[fallback])
+            if ranges is not None and ranges.is_fallback:
+                usable[fallback] &= ~measured.valid[other]
         is_vague = measured.sigma > _VAGUE_SIGMA
-        usable &= ~(is_vague & (usable & ~is_vague).any(axis=0))
+        if is_vague.any():
+            usable &= ~(is_vague & (usable & ~is_vague).any(axis=0))
         usable &= ~_inconsistent_with_size(measured, usable, track, model)
         used = measured.only(usable)
         estimate = least_squares(used, track, model)
@@ -193,7 +194,8 @@ class Fusion:
             n_conflicts=track.n_conflicts + is_unresolved,
             reference_s=np.where(has_reference, time_s, track.reference_s),
         )
-        is_recent = time_s - TrackBiases.from_columns(self._tracks.known, m).time_s <= _MAX_GAP_S
+        known_s = self._tracks.known[m + m * m + 2]  # `time_s` of the columns
+        is_recent = time_s - known_s <= _MAX_GAP_S
         self._tracks.put(track_id, track.to_columns(), keep_known=is_recent)
 
         distance_m = np.where(has_any, np.exp(estimate.log_m), np.nan)
@@ -226,9 +228,11 @@ def _with_biases_learnt(
     damping = np.sqrt(_CONFLICT_T2 / np.maximum(estimate.t2, _CONFLICT_T2))
     t = model.is_learnt * (damping * ~is_implausible * has_reference)
     CK = track.C * estimate.k
-    B = np.einsum("ajn,bjn->abn", np.einsum("ain,ijn->ajn", CK, estimate.P), CK)
-    B = (B + B.transpose(1, 0, 2)) / 2  # asymmetric rounding errors would grow from frame to frame
-    u = track.u + t * (CK * estimate.residual).sum(axis=1)
+    u = track.u + t * np.add.reduce(CK * estimate.residual, axis=1)
+    # (N, M, M) products of matrices; asymmetric rounding errors would grow from frame to frame
+    CK = CK.transpose(2, 0, 1)
+    B = (CK @ estimate.P.transpose(2, 0, 1) @ CK.transpose(0, 2, 1)).transpose(1, 2, 0)
+    B = (B + B.transpose(1, 0, 2)) / 2
     C = track.C - B * (1.0 - (1.0 - t[:, None]) * (1.0 - t))
     if in_conflict.any():
         C0_learnt = model.is_learnt * model.is_learnt.T * model.systematic_correlation
