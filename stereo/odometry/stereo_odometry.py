@@ -8,8 +8,11 @@ another.
     right t-1
 
 1. Corners outside the boxes of road users get disparities: block matching on a quarter of the size, then Lucas-Kanade.
+   Where the scene is known, blocks are matched in every fourth frame: between, the search begins at the disparities of
+   the nearest static points.
 2. Lucas-Kanade finds them in the next left image, from where the previous motion predicts them.
-3. The motion of a random triple that most corners agree with is the start (RANSAC). For a small rotation w
+3. The previous motion is the start, if most corners agree with a motion near it, or else that of a random triple that
+   most agree with (RANSAC). For a small rotation w
    a triple is a linear system, exact in t: p' (m + w x m + t rho)_z = (m + w x m + t rho)_xy.
 4. Gauss-Newton minimises the reprojection errors, weighted by the Tukey function and the inverse of their variance
    noise^2 + disparity_noise^2 |d p' / d d|^2, so that uncertain depths have little weight.

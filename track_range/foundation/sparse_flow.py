@@ -204,7 +204,12 @@ class BackgroundFlow:
     The first estimator that adds a frame computes the small image and the corners. An estimator
     that uses fewer corners than another one uses the first of them; the first estimator that needs
     the flow of a frame computes it for all corners that any estimator needed in an earlier frame,
-    since each call of Lucas-Kanade computes the pyramids of both images.
+    since each call of Lucas-Kanade computes the pyramids of both images. An estimator that knows
+    more may say where it expects corners in the next frame.
+
+    In fast streams, corners are detected in some frames, and those that are tracked go on in the
+    frames between: motions are measured from detection to detection, since shorter ones have
+    larger errors per second.
 
     The small image is halved until neither side is longer than `long_side_px`.
     """
