@@ -35,7 +35,7 @@ import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, check_shape
-from track_range.foundation.sparse_flow import BackgroundFlow, small_grey
+from track_range.foundation.sparse_flow import DETECTION_INTERVAL_S, BackgroundFlow, small_grey
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import CameraStep, EgoMotion
@@ -72,6 +72,10 @@ _MIN_DEVIATION2 = 1.0  # smallest sum of squared deviations of a strip that is c
 # distance of the middle of the picture, at which its plane has the slope of the road
 _PICTURE_M = 9.0
 _MAX_SPEED_MPS = 45.0
+# Speed up to which two frames of a video of 25 frames/s are compared with one another, and not each
+# with the next: above it, the pictures of the road have too little in common (on a motorway, the
+# speed was known in 50 and not 70 % of the frames).
+_MAX_RARE_MPS = 18.0
 # longest time between the pictures, and the road travelled in it, beyond one frame: a slow camera
 # moves by a fraction of a cell from frame to frame
 _MAX_SPAN_S, _MAX_SPAN_M = 0.3, 0.5
@@ -176,7 +180,8 @@ class GroundOdometry:
 
     def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
         """Motion since the previous frame, with boxes (N, 4) of road users; NaN where it is not
-        reliable. Frames are compared at most 17 times per second: between, it is the last one.
+        reliable. Below `_MAX_RARE_MPS`, frames are compared at most 17 times per second: between,
+        it is the last one.
 
         A second call for the same frame returns the same motion.
         """
@@ -199,6 +204,8 @@ class GroundOdometry:
         while len(self._past) > 1 and self._past[0].time_s < oldest_s:
             self._past.popleft()
         self._last = frame.time_s, ego
+        is_slow = abs(ego.speed_mps) <= _MAX_RARE_MPS  # False for NaN
+        self._flow.interval_s = DETECTION_INTERVAL_S if is_slow else 0.0
         return ego
 
     def _between(self, time_s: float) -> EgoMotion:

@@ -28,7 +28,7 @@ _TENSOR_PX, _MIN_TENSOR = 5, 1e-6
 _WINDOW_PX, _N_LEVELS, _N_LEVELS_EXPECTED = 9, 4, 2
 # Corners are detected at most so often; between, the tracked ones are those of the next flow, if so
 # large a fraction of them is tracked.
-_DETECTION_INTERVAL_S, _MIN_KEPT = 0.06, 0.7
+DETECTION_INTERVAL_S, _MIN_KEPT = 0.06, 0.7
 _MIN_SIDE_PX = 32  # of a small image that has room for windows
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)  # iterations and step in px
 
@@ -216,6 +216,8 @@ class BackgroundFlow:
 
     def __init__(self, long_side_px: int = 640) -> None:
         self._long_side_px = long_side_px
+        # shortest time between two frames with new corners, as the estimators need them
+        self.interval_s = DETECTION_INTERVAL_S
         # the last frame; None = there is none, or it is too small
         self.now: FlowFrame | None = None
         # the frame before it; None = there is none of equal size
@@ -263,7 +265,7 @@ class BackgroundFlow:
         kept = None
         if self.before is None:
             self._detection = None
-        if self._detection is not None and time_s - self._detection.time_s < _DETECTION_INTERVAL_S:
+        if self._detection is not None and time_s - self._detection.time_s < self.interval_s:
             kept = self._kept_corners()
         self.detection_before = self._detection
         if kept is not None and self.before is not None:
