@@ -21,8 +21,10 @@ MOST_STATEMENTS = {
     # what never moves in the images, and the boxes on it (123)
     # exact INT8 networks on CPUs without VNNI (1)
     # rows of boxes found by one comparison, and grids without any left out (15)
+    # both lines of a lane fitted at once (14), and the fixed pixels counted once (4)
     "detection": 8_359,
     # riders whose name changes (17)
+    # a similarity by sums, given up early (21)
     "tracking": 1_601,  # frames that could not show small objects (4)
     # packed assignments became a line for each value (50); the alignment below rigs (10); what a
     # pair shows and its consequence apart (10); guesses of focal lengths and the ego speed, which
@@ -60,6 +62,9 @@ MOST_STATEMENTS = {
     # the speed as a state with the dynamic of drivers, in place of four rules (+31)
     # cuts to another scene (42); the largest usable sigma of an ego speed, in one place (1)
     # pixels of all boxes in flat arrays, where neighbours are offsets (42)
+    # fits in closed form that stop when they have converged (80); disparities by static points between
+    # two frames with block matching, and one flow of the pair and the tracker (70); frames between
+    # two that are compared (30)
     "stereo": 9_895,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
@@ -127,6 +132,8 @@ MOST_STATEMENTS = {
     # the flow of long tracks, below the two estimators that follow corners (35)
     # the interval of a rate (6); probabilities of options are at most 1 (4)
     # settings check themselves, and a column that is missing is named (5)
+    # corners that go on from frame to frame and that are expected somewhere, and the tensor of single
+    # corners (60)
     "foundation": 1_835,
     # each stage has a frozen output, and `FrameResult` consists of them (165); the detection and the
     # scale report (9)
