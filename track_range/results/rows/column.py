@@ -121,8 +121,8 @@ class RowReader:
         """The values of the rows of a frame."""
         n_tracks = len(result.tracks)
         unknown = np.full(n_tracks, math.nan)
-        found = [*self._attributes(result), *[reader(result) for reader in self._parts]]
-        values = [unknown if value is None else value for value in found]
+        raw = [*self._attributes(result), *[reader(result) for reader in self._parts]]
+        values = [unknown if value is None else value for value in raw]
         arrays = [
             value if isinstance(value, np.ndarray) else np.full(n_tracks, value) for value in values
         ]
