@@ -137,15 +137,16 @@ def label_lines(
     ]
     if figures:
         lines.append([Span("  ".join(figures), small_px, REGULAR, GREY)])
+    closing_mps = float(result.closing_mps[row])
+    if not closing_mps > CLOSING_SHOWN_MPS:  # the usual case, of which nothing more is shown
+        return lines
     alarm, warnings = warning_colour(result, row), result.warnings
     by_track_s = result.safety.ttc_front_s if result.alarms.has_safety else result.ttc_s
     ttc_s, passes = float(by_track_s[row]), False
     if math.isnan(ttc_s) and alarm is None:  # no contact is possible
         passes = bool(apart_m(warnings.path_offset_m, result.tracks.class_id)[row] > 0)
         ttc_s = float(result.ttc_s[row]) if passes else ttc_s
-    closing = closing_span(
-        float(result.closing_mps[row]), ttc_s, small_px, alarm=alarm, passes=passes
-    )
+    closing = closing_span(closing_mps, ttc_s, small_px, alarm=alarm, passes=passes)
     return [*lines, [closing]] if closing else lines
 
 
