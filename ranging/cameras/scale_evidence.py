@@ -253,9 +253,9 @@ class SpeedEvidence:
         by_pair, by_road, given = ego.by_pair, ego.by_road, ego.given
         if by_pair is not None:
             self._speeds_mps.append(by_pair.speed_mps)
-            low_mps = float(np.min(self._speeds_mps))
-            # False for NaN
-            if len(self._speeds_mps) == _N_STEADY and np.max(self._speeds_mps) < _STEADY * low_mps:
+            low_mps, high_mps = min(self._speeds_mps), max(self._speeds_mps)
+            is_known = len(self._speeds_mps) == _N_STEADY and math.isfinite(sum(self._speeds_mps))
+            if is_known and high_mps < _STEADY * low_mps:
                 self._max_mps = max(self._max_mps, low_mps)
             if by_road is not None:
                 self._pair_height.update(time_s, by_pair, by_road)

@@ -235,6 +235,9 @@ class _WarningState(NamedTuple):
         return ConstantVelocity(self.d, self.r, self.P_dd, self.P_dr, self.P_rr)
 
 
+_KNOWN_ROW = _WarningState._fields.index("known_s")
+
+
 @dataclass(frozen=True, slots=True)
 class _Objects:
     """The N objects of a frame relative to the ego vehicle and its path, (N,) each."""
@@ -328,7 +331,9 @@ class CollisionWarning:
         predicted, needed_mps2 = self._predicted(objects, is_usable)
         start_s = np.where(starts | np.isnan(last.start_s), time_s, last.start_s)
         sound = np.where(is_person, 1.0, soundness(time_s - start_s))
-        known = np.where(starts, np.nan, np.array([last.contact, last.cut_in]))
+        known = np.array([last.contact, last.cut_in])
+        if starts.any():
+            known[:, starts] = np.nan
         contact, cut_in = posterior(known, sound * predicted, time_s - last.time_s)
         log_odds = calibrated(contact)
         probability = np.where(is_usable, expit(log_odds), np.nan)
@@ -353,7 +358,7 @@ class CollisionWarning:
             since_s=since_s,
             is_on=active.astype(np.float64),
         )
-        known_s = _WarningState._make(self._tracks.known).known_s
+        known_s = self._tracks.known[_KNOWN_ROW]
         self._tracks.put(tracks.track_id, np.array(new), keep_known=time_s - known_s <= _MAX_GAP_S)
         return Warnings(probability, active, offset.x, offset_sigma_m)
 
