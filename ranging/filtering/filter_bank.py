@@ -128,7 +128,8 @@ class FilterBank:
         # probabilities of the models, 0 = new track; V of the last frame, see `EgoStep`, NaN =
         # unknown
         self.weight, self.ego_mps = rows[ends[0] : ends[1]].reshape(2, M, G, N)
-        self.side = SideState(*rows[ends[1] : ends[2]].reshape(len(SideState._fields), M, G, N))
+        self._side_rows = rows[ends[1] : ends[2]].reshape(len(SideState._fields), M, G, N)
+        self.side = SideState(*self._side_rows)
         self.history = History(*rows[ends[2] : ends[3]].reshape(len(History._fields), M, 1, N))
         self.last = LastFrame(*rows[ends[3] :])
         # relative variance of d by the noise of the free edges of this frame's boxes
@@ -190,13 +191,12 @@ class FilterBank:
         if cut is None:
             return None
         dt, noise = step.dt[tracks], q[:, tracks]
-        motion = ConstantVelocity(*(part[..., tracks] for part in self.states.motion.columns))
-        side = SideState(*(part[..., tracks] for part in self.side))
+        motion = self.states.motion_of(tracks)
+        side = SideState(*self._side_rows[..., tracks])
         moved, side, variance = side.predict(
             motion, self.last.edge_ratio[tracks], cut.of_tracks(tracks), dt, noise=noise
         )
-        for part, new in zip(self.side, side, strict=True):
-            part[..., tracks] = new
+        self._side_rows[..., tracks] = side
         self.edge_variance = np.zeros(self.weight.shape)
         self.edge_variance[..., tracks] = variance
         plain = motion.predict(dt, q=noise)

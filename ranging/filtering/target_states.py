@@ -102,16 +102,18 @@ class TargetStates:
         P[1, 0] += of_both
         P[1, 1] += variance
 
+    def motion_of(self, tracks: IntArray) -> ConstantVelocity:
+        """A copy of d and v with their covariance of some tracks, columns of the states."""
+        d, v = self.table[:2][..., tracks]
+        return ConstantVelocity(d[4], v[4], d[0], d[1], v[1])
+
     def add_motion(self, motion: ConstantVelocity, tracks: IntArray) -> None:
         """Add means and covariances of d and v for some tracks, columns of the states."""
-        self.d[..., tracks] += motion.x
-        self.v[..., tracks] += motion.v
-        for (i, j), part in zip(
-            ((0, 0), (0, 1), (1, 0), (1, 1)),
-            (motion.P_xx, motion.P_xv, motion.P_xv, motion.P_vv),
-            strict=True,
-        ):
-            self.P[i, j][..., tracks] += part
+        added = np.zeros((2, *self.table.shape[1:-1], len(tracks)))
+        d, v = added
+        d[0], d[1], d[4] = motion.P_xx, motion.P_xv, motion.x
+        v[0], v[1], v[4] = motion.P_xv, motion.P_vv, motion.v
+        self.table[:2][..., tracks] += added
 
     def scale(self, factor: FloatArray) -> None:
         """Multiply all lengths by a factor."""

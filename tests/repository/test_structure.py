@@ -98,6 +98,8 @@ MOST_STATEMENTS = {
     # fewer array operations: body types and yaws of all boxes, selected by a sort (39), patches and
     # what covers them (34), both roads at once (16), static objects (17), cuboids of other heights
     # (11), the ground and the state of a drive (14), and checks that copy nothing (12)
+    # the states of all filters in one array (9), scales and sums once per evaluation of the cameras
+    # (31), and fusion, warnings and the world by columns (70)
     "ranging": 7_536,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     "api": 106,  # names that are imported when they are used, and their former names (22)
@@ -152,6 +154,7 @@ MOST_STATEMENTS = {
     # a speed that is not measured for a moment is predicted (7)
     # heights of whole boxes (3)
     # another scene has other stages and other numbers (19), and predicted speeds (1)
+    # a clock without generators, and corrections that change nothing left out (15)
     "pipeline": 984,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
