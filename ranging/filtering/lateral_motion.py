@@ -173,9 +173,12 @@ class LateralFilters:
         """
         if not self._unconfirmed:
             return
+        last = _LateralState._make(self._tracks.get(tracks.track_id))
+        is_new = np.isnan(last.time_s) & np.isfinite(distance.v)
+        if not is_new.any():
+            return
         earlier = np.concatenate([seen.tracks.track_id for seen in self._unconfirmed])
-        is_new = np.isin(tracks.track_id, earlier) & np.isfinite(distance.v)
-        is_new &= np.isnan(_LateralState._make(self._tracks.get(tracks.track_id)).time_s)
+        is_new &= np.isin(tracks.track_id, earlier)
         if not is_new.any():
             return
         new_ids = tracks.track_id[is_new]

@@ -332,8 +332,7 @@ class CollisionWarning:
         start_s = np.where(starts | np.isnan(last.start_s), time_s, last.start_s)
         sound = np.where(is_person, 1.0, soundness(time_s - start_s))
         known = np.array([last.contact, last.cut_in])
-        if starts.any():
-            known[:, starts] = np.nan
+        known[:, starts] = np.nan
         contact, cut_in = posterior(known, sound * predicted, time_s - last.time_s)
         log_odds = calibrated(contact)
         probability = np.where(is_usable, expit(log_odds), np.nan)
