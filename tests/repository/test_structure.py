@@ -100,7 +100,7 @@ MOST_STATEMENTS = {
     # (11), the ground and the state of a drive (14), and checks that copy nothing (12)
     # the states of all filters in one array (9), scales and sums once per evaluation of the cameras
     # (31), and fusion, warnings and the world by columns (70)
-    "ranging": 7_544,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 7_546,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     "api": 106,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
