@@ -287,8 +287,8 @@ class DriveScale:
             covariance = np.linalg.inv(_PRIOR + (A.T * weight) @ A)
             beta = covariance @ (A.T @ (weight * m))
             log_factor, of_horizon = beta[0] + beta[1:-1], beta[-1]
-        of_classes = covariance[0, 0] + 2 * covariance[0, 1:-1] + covariance.diagonal()[1:-1]
-        return log_factor, np.minimum(of_classes + reference_sigma**2, DRIVE_VARIANCE)
+        class_variance = covariance[0, 0] + 2 * covariance[0, 1:-1] + covariance.diagonal()[1:-1]
+        return log_factor, np.minimum(class_variance + reference_sigma**2, DRIVE_VARIANCE)
 
     def summary(self) -> dict[str, Any]:
         """Bias and sigma in per cent and number of tracks, by class with evidence."""

@@ -177,10 +177,10 @@ class Parallax:
         n_correlated = max(_CORRELATED_S / step.dt_s, 1.0)  # frames
         first = 0
         for (row, _), n in zip(parts, n_corners, strict=True):
-            of_track = slice(first, first + n)
+            corners_of_track = slice(first, first + n)
             first += n
-            is_used = is_good[of_track]
-            growths, radii = g[of_track][is_used], radius[of_track][is_used]
+            is_used = is_good[corners_of_track]
+            growths, radii = g[corners_of_track][is_used], radius[corners_of_track][is_used]
             if len(growths) < max(_MIN_CORNERS, 0.5 * n):
                 continue
             growth[row] = median_of(growths)

@@ -158,8 +158,8 @@ def match_windows(cost: FloatArray32) -> WindowMatches:
     slope = np.where(is_minimum, slope, np.float32(0.0))
     difference = np.where(is_minimum, c_minus - c_plus, np.float32(0.0))
     offset = difference / np.maximum(2 * slope, _SMALLEST_SLOPE)
-    found = np.array([d + offset, slope, np.where(np.isnan(c_0), _UNSEEN_BITS, c_0)])
-    return WindowMatches(*np.ascontiguousarray(found.swapaxes(1, 2)))
+    values = np.array([d + offset, slope, np.where(np.isnan(c_0), _UNSEEN_BITS, c_0)])
+    return WindowMatches(*np.ascontiguousarray(values.swapaxes(1, 2)))
 
 
 def _path_costs(c: FloatArray32) -> FloatArray32:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.background import Background, InThreads, Kept
+from track_range.foundation.background import Background, BackgroundObject, InThreads
 from track_range.stereo.alignment.from_drive import MIN_STEP_S, DriveAlignment
 from track_range.stereo.alignment.pair_evidence import PairEvidence
 from track_range.stereo.alignment.pair_finding import PairFinding, find_fault
@@ -79,9 +79,9 @@ class Realignment:
         self._rig, self._background = rig, background or InThreads()
         # times at which left and right were lost first, and found last
         self._lost_s = self._until_s = math.nan
-        self._evidence: Kept[PairEvidence] | None = None  # None = they match
+        self._evidence: BackgroundObject[PairEvidence] | None = None  # None = they match
         self._next_s = -math.inf  # time of its next pair
-        self._drive: Kept[DriveAlignment] | None = None
+        self._drive: BackgroundObject[DriveAlignment] | None = None
         # what the background makes of the last frame that it got; None = it has none
         self._rough: Future[_Lost] | None = None
         self._aligned: Future[Alignment | None] | None = None
@@ -135,17 +135,19 @@ class Realignment:
 
     def _look(self) -> None:
         """Look for a rough correction of a lost pair."""
-        self._evidence = self._background.keep(PairEvidence, self._rig.left)
+        self._evidence = self._background.create(PairEvidence, self._rig.left)
         self._rough = None
 
     def _begin(self, base: FloatArray) -> None:
         """Estimate the alignment of the next frames, corrected by `base`."""
         self._camera = RightCamera(self._rig.left, base=base)
         name = "the frames after a movement"
-        self._drive = self._background.keep(DriveAlignment, self._rig, None, name)
+        self._drive = self._background.create(DriveAlignment, self._rig, None, name)
         self._aligned = None
 
-    def _explained(self, evidence: Kept[PairEvidence], frame: Frame) -> Realigned | None:
+    def _explained(
+        self, evidence: BackgroundObject[PairEvidence], frame: Frame
+    ) -> Realigned | None:
         """The rough correction of a lost pair."""
         if self._rough is None and frame.right is not None and frame.time_s >= self._next_s:
             self._rough = evidence.call(_lost, frame, self._rig)
@@ -165,7 +167,7 @@ class Realignment:
         self._begin(corrected.base)
         return corrected
 
-    def _estimated(self, drive: Kept[DriveAlignment], frame: Frame) -> Realigned | None:
+    def _estimated(self, drive: BackgroundObject[DriveAlignment], frame: Frame) -> Realigned | None:
         """The estimate from the frames since the movement, if it is complete."""
         if self._aligned is None and frame.right is not None:
             corrected = replace(frame, right=self._camera.warped(frame.right))

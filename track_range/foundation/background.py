@@ -53,7 +53,7 @@ _ENDED = (
 )
 
 
-class Kept(ABC, Generic[_T]):
+class BackgroundObject(ABC, Generic[_T]):
     """An object that is used in the background only, by calls of its methods in their order."""
 
     @abstractmethod
@@ -73,7 +73,9 @@ class Background(ABC):
         """Call a function."""
 
     @abstractmethod
-    def keep(self, make: Callable[_P, _T], *arguments: _P.args, **keywords: _P.kwargs) -> Kept[_T]:
+    def create(
+        self, make: Callable[_P, _T], *arguments: _P.args, **keywords: _P.kwargs
+    ) -> BackgroundObject[_T]:
         """Make an object that is used in the background only."""
 
     @abstractmethod
@@ -104,16 +106,18 @@ class InThreads(Background):
         thread.shutdown(wait=False)
         return future
 
-    def keep(self, make: Callable[_P, _T], *arguments: _P.args, **keywords: _P.kwargs) -> Kept[_T]:
+    def create(
+        self, make: Callable[_P, _T], *arguments: _P.args, **keywords: _P.kwargs
+    ) -> BackgroundObject[_T]:
         """Make an object for one thread."""
-        return _KeptByThread(make(*arguments, **keywords))
+        return _ObjectOfThread(make(*arguments, **keywords))
 
     def is_ready(self, future: Future[Any]) -> bool:
         """Whether the result is known, or waited for."""
         return self._waits or future.done()
 
 
-class _KeptByThread(Kept[_T]):
+class _ObjectOfThread(BackgroundObject[_T]):
     def __init__(self, target: _T) -> None:
         self._target = target
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="background")
@@ -156,10 +160,12 @@ class InProcess(Background):
         """Call a function in the process."""
         return self.send(None, function, arguments, keywords)
 
-    def keep(self, make: Callable[_P, _T], *arguments: _P.args, **keywords: _P.kwargs) -> Kept[_T]:
+    def create(
+        self, make: Callable[_P, _T], *arguments: _P.args, **keywords: _P.kwargs
+    ) -> BackgroundObject[_T]:
         """Make an object in the process."""
         self._n_kept += 1
-        kept = _KeptByProcess[_T](self, self._n_kept)
+        kept = _ObjectOfProcess[_T](self, self._n_kept)
         self.send(self._n_kept, make, arguments, keywords)
         weakref.finalize(kept, self._messages.put, _Message(0, self._n_kept, None, (), {}))
         return kept
@@ -247,7 +253,7 @@ def _end(process: subprocess.Popen[bytes], messages: _Messages) -> None:
     process.wait()
 
 
-class _KeptByProcess(Kept[_T]):
+class _ObjectOfProcess(BackgroundObject[_T]):
     def __init__(self, process: InProcess, number: int) -> None:
         self._process, self._number = process, number
 

@@ -70,8 +70,8 @@ def background(request: pytest.FixtureRequest) -> Iterator[Background]:
 
 
 def test_functions_and_kept_objects(background: Background) -> None:
-    total = background.keep(Sum, 10.0)
-    other = background.keep(Sum, 100.0)
+    total = background.create(Sum, 10.0)
+    other = background.create(Sum, 100.0)
     futures = [
         total.call(Sum.add, 1.0),
         other.call(Sum.add, 1.0),

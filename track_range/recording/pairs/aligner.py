@@ -34,7 +34,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from track_range.foundation.background import Background, InThreads, Kept
+from track_range.foundation.background import Background, BackgroundObject, InThreads
 from track_range.recording.cameras.auto_alignment import PairAlignment
 from track_range.recording.cameras.calibration import RecordingCalibration
 from track_range.recording.pairs.estimates import AlignmentEstimates, PairEstimate
@@ -127,13 +127,13 @@ class _Sample:
 
     aligned: Frame  # synchronised and rectified
     recorded: RecordedFrame
-    estimates: Kept[AlignmentEstimates]  # that use it
+    estimates: BackgroundObject[AlignmentEstimates]  # that use it
 
 
 class _Pending(NamedTuple):
     """What the background makes of a sample."""
 
-    estimates: Kept[AlignmentEstimates]
+    estimates: BackgroundObject[AlignmentEstimates]
     estimate: Future[PairEstimate | None]
 
 
@@ -183,7 +183,7 @@ class PairAligner:
         self._sampled_s = -math.inf  # time of the last sample
         self._pending: deque[_Pending] = deque()
         # the state of the alignment: looking or estimating; None = fixed, or refused
-        self._state: _Look | Kept[AlignmentEstimates] | None = None
+        self._state: _Look | BackgroundObject[AlignmentEstimates] | None = None
         if not policy.reads_ahead:
             self._has_stereo = False  # until the pair is explained
             self._sync = SyncMonitor(policy.n_ahead)
@@ -346,7 +346,7 @@ class PairAligner:
         has_pair = self._finding is None or self._finding.has_stereo
         is_due = frame.time_s - self._sampled_s >= MIN_STEP_S
         # without a recorded frame, the right image is that of another one
-        if isinstance(state, Kept) and has_pair and is_due and recorded is not None:
+        if isinstance(state, BackgroundObject) and has_pair and is_due and recorded is not None:
             self._sample, self._sampled_s = _Sample(frame, recorded, state), frame.time_s
         alignment = self._calibration.alignment
         aligned = replace(
@@ -399,9 +399,9 @@ class PairAligner:
         corrected = PairAlignment(measured=prior, is_applied=True, rig=self._rig)
         self._unaligned = self._calibration = self._plain.with_alignment(corrected)
 
-    def _estimates(self, prior: Alignment | None = None) -> Kept[AlignmentEstimates]:
+    def _estimates(self, prior: Alignment | None = None) -> BackgroundObject[AlignmentEstimates]:
         after_s = self._policy.estimates_s
-        return self._background.keep(AlignmentEstimates, self._rig, after_s, prior)
+        return self._background.create(AlignmentEstimates, self._rig, after_s, prior)
 
     def estimate(self) -> None:
         """Use the frame that was returned last to estimate the alignment of the next frames, in the

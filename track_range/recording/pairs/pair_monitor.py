@@ -70,7 +70,7 @@ class PairMonitor:
 
     def _start(self) -> None:
         """Collect the evidence of other pairs."""
-        self._evidence = self._background.keep(PairEvidence, self._rig.left)
+        self._evidence = self._background.create(PairEvidence, self._rig.left)
         self._n_pairs = self._n_moving = 0
         # the pair that is added, with its time, and the explanation; None = none in progress
         self._added: tuple[float, Future[_Added]] | None = None
