@@ -283,11 +283,11 @@ class DeepSortTracker:
             return boxes_px
         row = np.minimum(ids.searchsorted(self._last_ids), len(ids) - 1)
         boxes = (ids[row] == self._last_ids).nonzero()[0]
-        predicted_px = self._table.filters.xyxy_px.take(row[boxes], axis=0)
-        before, now = motion.cxcywh(boxes_px.take(boxes, axis=0)), motion.cxcywh(predicted_px)
-        is_far = (np.abs(now - before)[:, :2] > 0.35 * before[:, 2:]).any(axis=1)
+        filters, before = self._table.filters, motion.cxcywh(boxes_px.take(boxes, axis=0))
+        moved_px = np.abs(filters.x.take(row[boxes], axis=0) - before)[:, :2]
+        is_far = np.logical_or.reduce(moved_px > 0.35 * before[:, 2:], axis=1)
         if is_far.any():
-            boxes_px[boxes[is_far]] = predicted_px[is_far]
+            boxes_px[boxes[is_far]] = filters.xyxy_px[row[boxes[is_far]]]
         return boxes_px
 
     def _is_streak(self, time_s: float) -> BoolArray:
