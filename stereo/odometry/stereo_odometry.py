@@ -8,12 +8,10 @@ another.
     right t-1
 
 1. Corners outside the boxes of road users get disparities: block matching on a quarter of the size, then Lucas-Kanade.
-   Where the scene is known, blocks are matched in every fourth frame: between, the search begins at the disparities of
-   the nearest static points.
 2. Lucas-Kanade finds them in the next left image, from where the previous motion predicts them.
 3. The previous motion is the start, if most corners agree with a motion near it, or else that of a random triple that
-   most agree with (RANSAC). For a small rotation w
-   a triple is a linear system, exact in t: p' (m + w x m + t rho)_z = (m + w x m + t rho)_xy.
+   most agree with (RANSAC). For a small rotation w, a triple is a linear system, exact in t:
+   p' (m + w x m + t rho)_z = (m + w x m + t rho)_xy.
 4. Gauss-Newton minimises the reprojection errors, weighted by the Tukey function and the inverse of their variance
    noise^2 + disparity_noise^2 |d p' / d d|^2, so that uncertain depths have little weight.
 
@@ -76,10 +74,6 @@ _NOISE_PX = 0.15  # standard deviation of a corner tracked over time; larger res
 # Standard deviation of a disparity; with both and an exact alignment, the rms error of the speed on
 # simulated drives is 0.7 (seeds 0-9) and 0.6 (20-29) of its sigma.
 _DISPARITY_NOISE_PX = 0.15
-# frames between two with block matching, in which corners begin at the disparities of static
-# points, and the smallest fraction of these that the right image shows in them
-_N_NEARBY, _WELL_SHOWN = 3, 0.7
-_NEARBY_PX = 16.0  # largest distance of a corner from a static point with about its disparity
 _MAX_ROW_PX = 0.75  # largest difference of rows between left and right
 _MIN_DISPARITY_PX = 0.5
 _NEAREST_M = 3.2  # nearest point of the scene; sets the largest disparity
@@ -157,14 +151,6 @@ class _Static(NamedTuple):
     points: FloatArray32  # (N, 2)
     disparity_px: FloatArray  # (N,) in the corrected right image, by the motion
 
-    def nearby_px(self, corners: FloatArray32) -> FloatArray:
-        """(M,) disparities of the nearest points of corners (M, 2); NaN = too far."""
-        x, y = self.points.T
-        distance2 = (corners[:, :1] - x) ** 2 + (corners[:, 1:] - y) ** 2
-        nearest = distance2.argmin(axis=1)
-        is_near = distance2[np.arange(len(corners)), nearest] <= _NEARBY_PX**2
-        return np.where(is_near, self.disparity_px[nearest], np.nan)
-
 
 class _Matches(NamedTuple):
     """N points of a frame in both images, in small pixels."""
@@ -212,7 +198,6 @@ class StereoOdometry:
         self._coarse = cv2.StereoBM.create(self._n_disparities, _BLOCK_PX)
         self._coarse.setTextureThreshold(5)
         self._coarse.setUniquenessRatio(5)
-        self._n_nearby = 0  # frames since its last use
         self._before: _View | None = None
         self._right, self._realignment = RightCameraMonitor(rig), Realignment(rig, background)
         self._vibration = Vibration()
@@ -346,17 +331,9 @@ class StereoOdometry:
         """Corners of the left image, and static points tracked to it, that are also found in the
         right image.
         """
-        corners, static = _corners(frame), self._static(tracked, alignment)
-        n_static = len(static.number)
-        is_known = tracked is not None and tracked.is_usual and n_static >= _MIN_FEATURES
-        if is_known and self._n_nearby < _N_NEARBY:
-            matches = _matched((frame.small, right), corners, static.nearby_px(corners), static)
-            n_shown = np.count_nonzero(~matches.is_corner)
-            if n_shown >= _WELL_SHOWN * n_static:
-                self._n_nearby += 1
-                return matches
-        self._n_nearby = 0
+        corners = _corners(frame)
         coarse_px = self._coarse_disparities(frame.small, right, corners)
+        static = self._static(tracked, alignment)
         return _matched((frame.small, right), corners, coarse_px, static)
 
     def _static(self, tracked: _Tracked | None, alignment: Alignment) -> _Static:
