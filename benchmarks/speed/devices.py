@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime
 
 from benchmarks.harness import Figures, in_new_process, option, workload
 from benchmarks.inputs.drives import DRIVE_OPTIONS
@@ -22,15 +21,16 @@ from benchmarks.speed.latency import mono_ms, stereo_ms
 from track_range.detection.catalogue.lookup import DEFAULT_MODEL, find_model
 from track_range.detection.models.devices import Device
 from track_range.detection.models.onnx_session import Runtime
+from track_range.detection.models.providers import why_missing
 from track_range.detection.yolo.detector import YoloDetector
 
-PROVIDERS: dict[Device, str] = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
+DEVICES: tuple[Device, ...] = ("cpu", "cuda")
 _N_TIMED, _N_FIRST = 100, 10  # runs of the network that are timed, and runs before them
 
 
 @workload(
     DRIVE_OPTIONS[0],
-    option("--devices", default=tuple(PROVIDERS), choices=tuple(PROVIDERS), help="devices"),
+    option("--devices", default=DEVICES, choices=DEVICES, help="devices"),
     option("--detector", default=DEFAULT_MODEL, help="name or file of the network"),
     option("--threads", default=0, help="threads of the network on a CPU; 0 = one per core"),
     option("--batches", default=(1, 2, 4), help="images per run of the network alone"),
@@ -42,12 +42,12 @@ def devices(options: Namespace) -> Figures:
     """Milliseconds of the network alone by size of the batch, of runs per frame and of steps, on
     each device that onnxruntime offers.
     """
-    offered = onnxruntime.get_available_providers()
     figures: Figures = {}
     with tempfile.TemporaryDirectory() as name:
         for device in options.devices:
-            if PROVIDERS[device] not in offered:
-                warnings.warn(f"{device}: onnxruntime does not offer it here", stacklevel=1)
+            reason = "" if device == "cpu" else why_missing(device)
+            if reason:
+                warnings.warn(f"{device}: {reason}", stacklevel=1)
                 continue
             figures[device] = _of_device(device, options, Path(name))
         if options.network_ms:
