@@ -37,7 +37,7 @@ from track_range.run.box_source import (
     outside_regions,
     remembered,
 )
-from track_range.run.build import SpeedInput, open_input, open_pipeline
+from track_range.run.build import SpeedInput, open_input, open_pipeline, warm_up
 from track_range.run.options.opened import DetectorOptions
 from track_range.run.options.settings import RunSettings
 from track_range.run.progress import step_progress
@@ -110,6 +110,8 @@ def open_run(
         region = settings.region or _region_of(speed.track)
         # frames at the pace of a camera do not wait, and are not the same in another run
         is_live = recording.live is not None or settings.realtime
+        if is_live:
+            warm_up(settings, is_pair=calibration.rig is not None)
         pipeline = open_pipeline(
             settings,
             calibration,
