@@ -14,7 +14,7 @@ def main() -> None:
     """
     gc.set_threshold(_GC_THRESHOLD)
     # before NumPy is imported: the matrices are small, and on busy cores the threads of OpenBLAS
-    # wait for one another (a product of 18 ms takes 0.25 ms in one thread)
+    # wait for one another
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         from track_range.cli.app import main as command_line

@@ -110,7 +110,7 @@ class StageProbe(StageClock):
     def _profile(self, frame: FrameType, event: str, function: Any) -> None:
         """Count a call of a function of C."""
         if event == "c_call" and frame.f_code.co_filename != __file__:
-            is_array = isinstance(function.__self__, np.ndarray) or (
+            is_array = isinstance(function.__self__, np.ndarray | np.ufunc) or (
                 function.__module__ in ("numpy", "cv2")
             )
             self._count(ARRAYS if is_array else CALLS)

@@ -134,7 +134,8 @@ class SizeRanger(Ranger):
         evidence = ScaleEvidence(tracks.class_id, by_size)
         if self._parallax is not None:
             static = self._parallax.measure(tracks, step, scale.expected(by_size, tracks.class_id))
-            if step is not None:
+            # in a frame between two that are compared, nothing is triangulated
+            if step is not None and step.time_s == frame.time_s:
                 evidence = replace(
                     evidence,
                     reference=static,

@@ -72,10 +72,10 @@ _MIN_DEVIATION2 = 1.0  # smallest sum of squared deviations of a strip that is c
 # distance of the middle of the picture, at which its plane has the slope of the road
 _PICTURE_M = 9.0
 _MAX_SPEED_MPS = 45.0
-# Speed up to which two frames of a video of 25 frames/s are compared with one another, and not each
-# with the next: above it, the pictures of the road have too little in common (on a motorway, the
-# speed was known in 50 and not 70 % of the frames).
-_MAX_RARE_MPS = 18.0
+# Road travelled between two frames up to which they are compared with one another, and not each with
+# the next: above it, the pictures of the road have too little in common (on a motorway, the speed was
+# known in 50 and not 70 % of the frames).
+_MAX_RARE_M = 1.45
 # longest time between the pictures, and the road travelled in it, beyond one frame: a slow camera
 # moves by a fraction of a cell from frame to frame
 _MAX_SPAN_S, _MAX_SPAN_M = 0.3, 0.5
@@ -120,6 +120,17 @@ _MIN_ALONG = 0.7  # cosine between the axis and the drive, of a camera that look
 _SLOWEST_MPS = 0.1  # of a camera that is not at rest
 _REST_S = 0.5  # time for which near points stay in place, after which an unknown speed is 0
 _UNKNOWN_SIGMA = 0.03  # relative standard deviation of a speed without one
+
+
+def _interval_s(speed_mps: float, frame_s: float) -> float:
+    """Shortest time between frames that are compared, at a speed and a time between two frames; NaN
+    = unknown.
+    """
+    if not frame_s > 0:
+        return 0.0
+    compared_s = frame_s * math.ceil(DETECTION_INTERVAL_S / frame_s)
+    is_slow = abs(speed_mps) * compared_s <= _MAX_RARE_M  # False for NaN
+    return DETECTION_INTERVAL_S if is_slow else 0.0
 
 
 class GroundOdometry:
@@ -180,8 +191,8 @@ class GroundOdometry:
 
     def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
         """Motion since the previous frame, with boxes (N, 4) of road users; NaN where it is not
-        reliable. Below `_MAX_RARE_MPS`, frames are compared at most 17 times per second: between,
-        it is the last one.
+        reliable. At speeds of towns, frames are compared at most 17 times per second: between, it
+        is the last one.
 
         A second call for the same frame returns the same motion.
         """
@@ -203,9 +214,8 @@ class GroundOdometry:
         oldest_s = frame.time_s + 0.5 * motion.dt_s - _MAX_SPAN_S  # in the next frame, rounded
         while len(self._past) > 1 and self._past[0].time_s < oldest_s:
             self._past.popleft()
-        self._last = frame.time_s, ego
-        is_slow = abs(ego.speed_mps) <= _MAX_RARE_MPS  # False for NaN
-        self._flow.interval_s = DETECTION_INTERVAL_S if is_slow else 0.0
+        before_s, self._last = self._last[0], (frame.time_s, ego)
+        self._flow.interval_s = _interval_s(ego.speed_mps, frame.time_s - before_s)
         return ego
 
     def _between(self, time_s: float) -> EgoMotion:

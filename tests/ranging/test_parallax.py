@@ -7,8 +7,11 @@ import pytest
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.methods.size_regression import SizeRanger
+from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.ranging.world.parallax import Parallax
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.odometry.ego_motion import CameraStep
 from track_range.tracking.tracks import Tracks
@@ -133,3 +136,28 @@ def test_without_motion_everything_is_unknown():
     flow.add(picture((30.0, 25.0)), boxes, 0.0)
     tracks = Tracks(ids, boxes, np.full(2, CAR), np.ones(2), np.ones(2, bool))
     assert np.isnan(parallax.measure(tracks, None, Ranges.unmeasured(ids)).distance_m).all()
+
+
+def test_a_frame_between_two_that_are_compared_is_no_evidence():
+    """Its step is that of an earlier frame, by which nothing is triangulated."""
+    flow, boxes = BackgroundFlow(), boards_at(np.array([32.0, 28.0]), SIDES_M)
+    flow.add(picture(np.array([32.0, 28.0]), SIDES_M), boxes, 0.0)
+    step = CameraStep(
+        time_s=0.0,
+        dt_s=DT_S,
+        rotation=np.eye(3),
+        rotation_sigma_rad=1e-4,
+        travel=np.array([0.0, 0.0, 1.0]),
+        travelled_m=WAY_M,
+        travelled_sigma=0.02,
+        now=flow.now,
+    )
+    ranger = SizeRanger(CAMERA, parallax=Parallax(CAMERA))
+    tracks = Tracks(np.array([1, 2]), boxes, np.full(2, CAR), np.ones(2), np.ones(2, bool))
+    image = np.zeros((CAMERA.height_px, CAMERA.width_px, 3), np.uint8)
+    references = []
+    for time_s in (0.0, 0.04):
+        ranger.update_motion(step)
+        measured = ranger.measure_at_scale(tracks, Frame(0, time_s, image, None), {}, DriveScale())
+        references.append(measured.evidence.reference is not None)
+    assert references == [True, False]

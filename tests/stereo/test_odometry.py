@@ -12,6 +12,7 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.odometry.ground_odometry import (
     GroundOdometry,
+    _interval_s,
     plane_error,
     slow_factor,
 )
@@ -452,3 +453,21 @@ def test_speeds_that_scatter_more_than_their_sigma_have_a_wider_one():
     assert (np.abs(late_mps - 10) < 2 * sigma_mps).mean() > 0.8
     assert 0.12 < np.median(sigma_mps) < 0.3
     assert calm_mps[-1, 1] < 0.5 * np.median(sigma_mps)
+
+
+@pytest.mark.parametrize(
+    ("speed_mps", "frame_s", "interval_s"),
+    [
+        (18.0, 0.04, 0.06),  # 1.44 m between two of every second frame
+        (18.0, 0.05, 0.0),  # 1.8 m
+        (30.0, 0.04, 0.0),
+        (30.0, 1 / 60, 0.0),
+        (20.0, 1 / 60, 0.06),
+        (math.nan, 0.04, 0.0),
+        (5.0, math.nan, 0.0),
+    ],
+)
+def test_frames_are_compared_less_often_while_the_road_between_them_is_short(
+    speed_mps, frame_s, interval_s
+):
+    assert _interval_s(speed_mps, frame_s) == interval_s

@@ -3,9 +3,8 @@
     InThreads       whoever needs a result waits for it: equal frames give equal results
     InProcess       nobody waits: a result is used with the first frame after it is known
 
-Estimates of an alignment or a focal length take up to a second of Python, in which a thread would
-hold the GIL for most of the time: steps of 45 ms took 220 ms beside a thread, and 86 ms beside a
-process of low priority (two busy cores).
+Estimates of an alignment or a focal length take up to a second of Python and small arrays, in which
+a thread would hold the GIL for most of the time, so that each step beside it would wait.
 
 parent: `submit` -> queue -> writing thread -> pipe -> child: `serve` -> pipe -> reading thread -> future
 """
@@ -15,7 +14,6 @@ from __future__ import annotations
 import os
 import pickle
 import queue
-import signal
 import subprocess
 import sys
 import threading
@@ -45,6 +43,10 @@ _NICENESS = 10  # of the process; a tenth of the weight of an ordinary one
 _SERVE = (
     "import sys; sys.path[:] = sys.argv[1:]; "
     "from track_range.foundation.background import serve; serve()"
+)
+_NOT_STARTED = (
+    "A process beside the steps cannot be started ({}): the alignment of a pair and a focal length "
+    "are estimated in a thread, beside which steps take longer."
 )
 _ENDED = (
     "The process beside the steps ended (status {}): an alignment, a focal length and a check of "
@@ -144,26 +146,36 @@ _Messages: TypeAlias = "queue.SimpleQueue[_Message | None]"  # None = no more
 class InProcess(Background):
     """Calls run one after the other in a process of low priority, and nobody waits for them.
 
-    The process starts with the first call, and ends with this object, or with the program.
+    The process starts with the first call, and ends with this object, or with the program. Where
+    none can be started, the calls run in threads.
     """
 
     def __init__(self) -> None:
+        self._threads = InThreads(waits=False)
+        self._reset()
+
+    def _reset(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         self._messages: _Messages = queue.SimpleQueue()
         self._futures: dict[int, Future[Any]] = {}
         self._n_calls = self._n_kept = 0
         self._end: Callable[[], object] | None = None
+        self._why_not = ""  # why no process can be started
 
     def submit(
         self, function: Callable[_P, _R], *arguments: _P.args, **keywords: _P.kwargs
     ) -> Future[_R]:
         """Call a function in the process."""
+        if not self._is_started():
+            return self._threads.submit(function, *arguments, **keywords)
         return self.send(None, function, arguments, keywords)
 
     def create(
         self, make: Callable[_P, _T], *arguments: _P.args, **keywords: _P.kwargs
     ) -> BackgroundObject[_T]:
-        """Make an object in the process."""
+        """Make an object in the process; an error of it is that of its calls."""
+        if not self._is_started():
+            return self._threads.create(make, *arguments, **keywords)
         self._n_kept += 1
         kept = _ObjectOfProcess[_T](self, self._n_kept)
         self.send(self._n_kept, make, arguments, keywords)
@@ -176,15 +188,17 @@ class InProcess(Background):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Message about a process that ended by itself."""
+        """Message about a process that ended by itself, or cannot be started."""
+        if self._why_not:
+            return (_NOT_STARTED.format(self._why_not),)
         status = None if self._process is None else self._process.poll()
         return () if status is None else (_ENDED.format(status),)
 
     def close(self) -> None:
-        """End the process, and its calls without a result."""
+        """End the process, and its calls without a result; another call starts another one."""
         if self._end is not None:
             self._end()
-            self._process = None
+        self._reset()
 
     def send(
         self,
@@ -194,28 +208,38 @@ class InProcess(Background):
         keywords: dict[str, Any],
     ) -> Future[Any]:
         """Call a function, with the number of a kept object its maker or one of its methods."""
-        if self._end is None:
-            self._start()
         future: Future[Any] = Future()
         self._n_calls += 1
         self._futures[self._n_calls] = future
         self._messages.put(_Message(self._n_calls, kept, function, arguments, keywords))
         return future
 
+    def _is_started(self) -> bool:
+        """Whether the process is started, which this does if it can."""
+        if self._end is None and not self._why_not:
+            try:
+                self._start()
+            except OSError as error:
+                self._why_not = error.strerror or str(error)
+        return self._end is not None
+
     def _start(self) -> None:
         # one thread for the libraries that read these variables, as for OpenCV in `serve`
         one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+        of_windows = ("BELOW_NORMAL_PRIORITY_CLASS", "CREATE_NEW_PROCESS_GROUP")
         self._process = process = subprocess.Popen(
             [sys.executable, "-c", _SERVE, *sys.path],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={**os.environ, **one_thread},
-            creationflags=getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0),
+            # the parent handles Ctrl+C for both
+            start_new_session=True,
+            creationflags=sum(getattr(subprocess, name, 0) for name in of_windows),
         )
         self._end = weakref.finalize(self, _end, process, self._messages)
         works = (
             partial(_write, cast(BinaryIO, process.stdin), self._messages, self._futures),
-            partial(_read, cast(BinaryIO, process.stdout), self._futures),
+            partial(_read, process, self._futures),
         )
         for work in works:
             threading.Thread(target=work, name="background", daemon=True).start()
@@ -226,25 +250,33 @@ def _write(pipe: BinaryIO, messages: _Messages, futures: dict[int, Future[Any]])
     with suppress(OSError), pipe:  # a process that ended reads nothing
         while (message := messages.get()) is not None:
             try:
-                data = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
+                call = pickle.dumps(message[2:], pickle.HIGHEST_PROTOCOL)
             except Exception as error:
                 futures.pop(message.number).set_exception(error)
                 continue
-            pipe.write(data)
+            pickle.dump((message.number, message.kept, call), pipe, pickle.HIGHEST_PROTOCOL)
             pipe.flush()
 
 
-def _read(pipe: BinaryIO, futures: dict[int, Future[Any]]) -> None:
+def _read(process: subprocess.Popen[bytes], futures: dict[int, Future[Any]]) -> None:
     """Receive the results from the process, until it ends."""
-    # a process that ended in the middle of an answer
-    with pipe, suppress(EOFError, OSError, pickle.UnpicklingError):
+    # a process that ended in the middle of an answer, or whose answers make no sense
+    with (
+        cast(BinaryIO, process.stdout) as pipe,
+        suppress(EOFError, OSError, ValueError, pickle.UnpicklingError),
+    ):
         while True:
-            number, value, error = pickle.load(pipe)  # noqa: S301 - of our own process
+            number, is_error, data = pickle.load(pipe)  # noqa: S301 - of our own process
             future = futures.pop(number)
-            if error is None:
-                future.set_result(value)
+            try:
+                value = pickle.loads(data)  # noqa: S301 - of our own process
+            except Exception as error:
+                value, is_error = error, True
+            if is_error:
+                future.set_exception(value)
             else:
-                future.set_exception(error)
+                future.set_result(value)
+    process.kill()  # so that its end is known, see `InProcess.notes`
 
 
 def _end(process: subprocess.Popen[bytes], messages: _Messages) -> None:
@@ -271,40 +303,40 @@ def beside_steps() -> Background:
 
 def serve() -> None:
     """The life of the process of `InProcess`: answers calls until its input ends."""
-    import cv2  # after the priority is lowered and the signal is ignored: this takes a while
-
     # what a library prints does not belong to the answers
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl+C for both
     if hasattr(os, "nice"):
         os.nice(_NICENESS)
+    import cv2  # with the low priority, since this takes a while
+
     cv2.setNumThreads(1)
-    kept: dict[int | None, Any] = {}
-    while True:
-        try:
-            message: _Message = pickle.load(sys.stdin.buffer)  # noqa: S301 - of our parent
-        except EOFError:
-            return
-        answer = _answer(message, kept)
-        # the parent is gone: nobody reads any further answer
-        with suppress(BrokenPipeError):
-            answers.write(answer)
-            answers.flush()
+    kept: dict[int, Any] = {}
+    with suppress(EOFError, BrokenPipeError):  # the parent is gone
+        while True:
+            number, key, call = pickle.load(sys.stdin.buffer)  # noqa: S301 - of our parent
+            is_error, value = _answer(key, call, kept)
+            try:
+                data = pickle.dumps(value, pickle.HIGHEST_PROTOCOL)
+            except Exception as error:
+                is_error, data = True, pickle.dumps(TypeError(f"{type(value).__name__}: {error}"))
+            if number:
+                pickle.dump((number, is_error, data), answers, pickle.HIGHEST_PROTOCOL)
+                answers.flush()
 
 
-def _answer(message: _Message, kept: dict[int | None, Any]) -> bytes:
-    """The result of one call, or its error, in bytes; empty without a call."""
-    number, key, function, arguments, keywords = message
-    if function is None:
-        kept.pop(key, None)
-        return b""
-    if key in kept:
-        arguments = (kept[key], *arguments)
+def _answer(key: int | None, call: bytes, kept: dict[int, Any]) -> tuple[bool, Any]:
+    """Whether a pickled call fails, and its error or its result."""
     try:
-        value = function(*arguments, **keywords)
-        if key is not None and key not in kept:
-            kept[key], value = value, None
-        return pickle.dumps((number, value, None), pickle.HIGHEST_PROTOCOL)
+        function, arguments, keywords = pickle.loads(call)  # noqa: S301 - of our parent
+        if key is None:
+            return False, function(*arguments, **keywords)
+        if function is None:
+            kept.pop(key, None)
+            return False, None
+        if key in kept:
+            return False, function(kept[key], *arguments, **keywords)
+        kept[key] = function(*arguments, **keywords)
     except Exception as error:  # the caller decides what it means
-        return pickle.dumps((number, None, error), pickle.HIGHEST_PROTOCOL)
+        return True, error
+    return False, None

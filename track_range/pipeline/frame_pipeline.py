@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from track_range.detection.lanes.lines import LaneLines
+from track_range.foundation.background import Background, InThreads
 from track_range.pipeline.alarming import AlarmStage
 from track_range.pipeline.clock import StageClock
 from track_range.pipeline.detecting import Detected, DetectionStage
@@ -56,6 +57,7 @@ class FramePipeline:
     restarted: Callable[[], tuple[ObjectTracker, EgoStage, AlarmStage]] | None = None
     setup_notes: tuple[str, ...] = ()  # messages for the user about the chosen parts
     clock: StageClock = field(default_factory=StageClock)  # time spent in each stage
+    background: Background = field(default_factory=InThreads)  # where long estimates are made
     # from the frames so far; used with the next one
     scale: DriveScale = field(init=False)
     doubt: Doubt = field(init=False)
@@ -182,6 +184,7 @@ class FramePipeline:
     def notes(self) -> tuple[str, ...]:
         """Messages for the user about the parts of the pipeline, besides those of the stages."""
         notes = (*self.setup_notes, *self.times.notes, *self._notes_before, *self.ego.notes)
+        notes = (*notes, *self.background.notes)
         return tuple(dict.fromkeys(notes))
 
     def summary(self) -> dict[str, Any]:
@@ -189,5 +192,6 @@ class FramePipeline:
         return {"drive_bias": self.scale.summary()} if self.scale.n_tracks else {}
 
     def close(self) -> None:
-        """End the threads of the stages; no frame follows."""
+        """End the threads and the process of the stages; no frame follows."""
         self.ranging.close(self.clock)
+        self.background.close()

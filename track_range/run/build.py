@@ -13,7 +13,7 @@ from track_range.detection.detections import Detections
 from track_range.detection.lanes.nets import open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.arrays import Image
-from track_range.foundation.background import Background
+from track_range.foundation.background import Background, InThreads
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.pipeline.alarming import AlarmStage
@@ -31,7 +31,7 @@ from track_range.ranging.cameras.unknowns import CameraPriors, Unknown, camera_p
 from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.methods.lane_width import usual_width
 from track_range.ranging.methods.method import MethodContext
-from track_range.ranging.registry import create_rangers
+from track_range.ranging.registry import create_rangers, methods
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.region import Region
 from track_range.ranging.warning.collision_warning import CollisionWarning
@@ -155,6 +155,7 @@ def open_pipeline(
             *((_OTHER_HEIGHT.format(mounted_m),) if mounted_m not in (None, used_m) else ()),
             *(() if is_ahead else (_NOT_AHEAD,)),
         ),
+        background=background or InThreads(),
     )
 
 
@@ -303,13 +304,17 @@ def warm_up(options: PipelineOptions, *, is_pair: bool) -> None:
     """Use the parts of a pipeline but its networks on images of noise.
 
     Modules are then imported, and tables computed: of the sizes of road users, 0.2 s, and of
-    OpenCV's colours, 0.07 s.
+    OpenCV's colours, 0.07 s. Ranging methods of other packages are not used for this.
     """
+    if any(not method.create.__module__.startswith("track_range.") for method in methods()):
+        return
     camera = PinholeCamera.of_focal_length(_FOCAL_PX, _WARM_UP_PX)
     cameras = StereoRig.rectified(camera, baseline_m=_BASELINE_M) if is_pair else camera
     calibration = calibration_of(cameras, (_WARM_UP_PX,) * (1 + is_pair), LensView())
     # networks of appearance and lanes are not opened twice
-    usual = options.model_copy(update={"sgbm": False, "reid": None, "lanes": "classical"})
+    usual = options.model_copy(
+        update={"sgbm": False, "reid": None, "lanes": "classical", "tracker": "deepsort"}
+    )
     stages = open_pipeline(usual, calibration, boxes_of(_OneCar()))
     noise = np.random.default_rng(0).integers(0, 256, (*_WARM_UP_PX[::-1], 3), np.uint8)
     for index in range(_N_STEPS):

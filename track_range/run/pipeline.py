@@ -335,7 +335,6 @@ class Pipeline:
             *boxes,
             *([unit] if self._n_long_steps == _N_LONG_STEPS else []),
             *self._parts.notes,
-            *self._background.notes,
         )
 
     def events(self) -> tuple[Event, ...]:

@@ -33,6 +33,21 @@ class Sum:
         return self.total
 
 
+class TwoReasonsError(Exception):
+    """Its pickle has one argument, and it needs two."""
+
+    def __init__(self, first: str, second: str) -> None:
+        super().__init__(f"{first}, {second}")
+
+
+def refused_twice() -> None:
+    raise TwoReasonsError("not today", "not tomorrow")
+
+
+def lambda_result() -> Any:
+    return lambda: None
+
+
 def pid() -> int:
     return os.getpid()
 
@@ -87,6 +102,39 @@ def test_errors_belong_to_their_calls(background: Background) -> None:
     with pytest.raises(ValueError, match="not today"):
         known(background.submit(refused, "not today"))
     assert known(background.submit(pid)) > 0
+
+
+def test_what_cannot_be_sent_is_the_error_of_its_call() -> None:
+    background = InProcess()
+    for function in (refused_twice, lambda_result):
+        with pytest.raises((TypeError, AttributeError)):
+            known(background.submit(function))
+    broken = background.create(Sum, "no number")
+    with pytest.raises(TypeError):
+        known(broken.call(Sum.add, 1.0))
+    assert known(background.submit(pid)) > 0
+    assert background.notes == ()
+    background.close()
+
+
+def test_calls_run_in_threads_where_no_process_can_be_started(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sys, "executable", "/no/python")
+    background = beside_steps()
+    assert known(background.submit(pid)) == os.getpid()
+    assert known(background.create(Sum, 10.0).call(Sum.add, 1.0)) == 11.0
+    (note,) = background.notes
+    assert "cannot be started (No such file or directory)" in note
+    background.close()
+
+
+def test_a_process_starts_again_after_it_was_closed() -> None:
+    background = InProcess()
+    first = known(background.submit(pid))
+    background.close()
+    assert known(background.submit(pid)) != first
+    background.close()
 
 
 def test_a_thread_is_waited_for_and_a_process_is_not() -> None:
