@@ -27,6 +27,7 @@ class RunInputs:
     detector: Path  # a file of the user, or that of a network that takes a given time
     settings: dict[str, dict[str, Any]]
     stored: dict[str, OpenedStoredBoxes]  # by recording; empty = the detector finds the boxes
+    network_ms: float = 0.0  # time of a network that was made for it; 0 = another one
 
     @classmethod
     def written(
@@ -40,7 +41,7 @@ class RunInputs:
         stored = {}
         if network_ms:
             detector = folder / "network.onnx"
-            write_network(detector, network_ms)
+            network_ms = write_network(detector, network_ms)
             for name, file in ((PAIR, pair.left), (ONE, video)):
                 stored[name] = OpenedStoredBoxes(packaged_boxes(decoded(file, n_frames)))
         shared = {"detector": str(detector), "threads": 1, "device": "cpu"}
@@ -60,7 +61,7 @@ class RunInputs:
                 "out": str(folder / "one"),
             },
         }
-        return cls(detector, settings, stored)
+        return cls(detector, settings, stored, network_ms)
 
 
 def opened_run(settings: dict[str, Any], stored: OpenedStoredBoxes | None = None) -> Run:

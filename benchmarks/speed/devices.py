@@ -73,7 +73,7 @@ def _of_device(device: Device, options: Namespace, folder: Path) -> Figures:
 def _emulated(options: Namespace, folder: Path) -> Figures:
     """Runs with stored boxes and a network of a given time on the CPU."""
     inputs = RunInputs.written(folder, options.drive, Path(), options.frames, options.network_ms)
-    return {"runs": _runs(inputs, {}, options.network_ms)}
+    return {"network_ms": inputs.network_ms, "runs": _runs(inputs, {}, inputs.network_ms)}
 
 
 def _runs(inputs: RunInputs, changed: dict[str, Any], network_ms: float) -> Figures:

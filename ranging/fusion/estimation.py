@@ -8,7 +8,7 @@ Arrays are over M methods and N tracks, tracks last. Symbols are defined in the 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -111,16 +111,7 @@ class TrackBiases:
 
     def with_biases(self, u: FloatArray, C: FloatArray) -> TrackBiases:
         """The state with other biases."""
-        return TrackBiases(
-            u,
-            C,
-            self.log_m,
-            self.variance,
-            self.time_s,
-            self.n_agreements,
-            self.n_conflicts,
-            self.reference_s,
-        )
+        return replace(self, u=u, C=C)
 
 
 @dataclass(frozen=True, slots=True)

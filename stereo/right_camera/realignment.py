@@ -45,7 +45,7 @@ class Realigned(NamedTuple):
     alignment: Alignment  # of the images corrected by it
 
 
-class _Lost(NamedTuple):
+class _LostPair(NamedTuple):
     """The evidence of a lost pair after a frame."""
 
     n_pairs: int
@@ -53,17 +53,17 @@ class _Lost(NamedTuple):
     finding: PairFinding | None  # None = not enough pairs in motion
 
 
-def _lost(evidence: PairEvidence, frame: Frame, rig: StereoRig) -> _Lost:
+def _explain_with(evidence: PairEvidence, frame: Frame, rig: StereoRig) -> _LostPair:
     """Add a frame with a right image, and explain the pairs so far if they are enough."""
     if frame.right is not None:
         evidence.add(frame.left, whole_image(frame.right))
     is_moving = evidence.flow_px >= _MIN_FLOW_PX
     is_enough = evidence.n_pairs >= _N_PAIRS and is_moving
     finding = find_fault(evidence.figures(), rig) if is_enough else None
-    return _Lost(evidence.n_pairs, is_moving, finding)
+    return _LostPair(evidence.n_pairs, is_moving, finding)
 
 
-def _aligned(drive: DriveAlignment, frame: Frame) -> Alignment | None:
+def _align_with(drive: DriveAlignment, frame: Frame) -> Alignment | None:
     """Add a frame; the alignment if it is complete."""
     drive.add(frame)
     return drive.estimate() if drive.has_segments or drive.is_full else None
@@ -83,8 +83,8 @@ class Realignment:
         self._next_s = -math.inf  # time of its next pair
         self._drive: BackgroundObject[DriveAlignment] | None = None
         # what the background makes of the last frame that it got; None = it has none
-        self._rough: Future[_Lost] | None = None
-        self._aligned: Future[Alignment | None] | None = None
+        self._pending_pair: Future[_LostPair] | None = None
+        self._pending_alignment: Future[Alignment | None] | None = None
         self._camera = RightCamera(rig.left)  # corrects the images of the drive
 
     @property
@@ -119,7 +119,7 @@ class Realignment:
         """
         are_missing = n_static >= _MIN_STATIC and n_shown < _MIN_SHOWN * n_static
         if are_missing and not (right.is_hit or self.is_lost):
-            self._drive = self._aligned = None
+            self._drive = self._pending_alignment = None
             self._look()
             self._lost_s = time_s if math.isnan(self._lost_s) else self._lost_s
 
@@ -128,7 +128,7 @@ class Realignment:
         by this frame.
         """
         if self._evidence is not None:
-            return self._explained(self._evidence, frame)
+            return self._rough_correction(self._evidence, frame)
         if self._drive is None and abs(right.applied_px[OFFSET]) > _FAR_PX:
             self._begin(right.matrix)
         return None if self._drive is None else self._estimated(self._drive, frame)
@@ -136,24 +136,24 @@ class Realignment:
     def _look(self) -> None:
         """Look for a rough correction of a lost pair."""
         self._evidence = self._background.create(PairEvidence, self._rig.left)
-        self._rough = None
+        self._pending_pair = None
 
     def _begin(self, base: FloatArray) -> None:
         """Estimate the alignment of the next frames, corrected by `base`."""
         self._camera = RightCamera(self._rig.left, base=base)
         name = "the frames after a movement"
         self._drive = self._background.create(DriveAlignment, self._rig, None, name)
-        self._aligned = None
+        self._pending_alignment = None
 
-    def _explained(
+    def _rough_correction(
         self, evidence: BackgroundObject[PairEvidence], frame: Frame
     ) -> Realigned | None:
         """The rough correction of a lost pair."""
-        if self._rough is None and frame.right is not None and frame.time_s >= self._next_s:
-            self._rough = evidence.call(_lost, frame, self._rig)
-        if self._rough is None or not self._background.is_ready(self._rough):
+        if self._pending_pair is None and frame.right is not None and frame.time_s >= self._next_s:
+            self._pending_pair = evidence.call(_explain_with, frame, self._rig)
+        if self._pending_pair is None or not self._background.is_ready(self._pending_pair):
             return None
-        lost, self._rough = self._rough.result(), None
+        lost, self._pending_pair = self._pending_pair.result(), None
         self._next_s = frame.time_s + (MIN_STEP_S if lost.is_moving else _WAIT_AT_REST_S)
         if lost.n_pairs >= _MAX_PAIRS:
             self._look()
@@ -169,12 +169,14 @@ class Realignment:
 
     def _estimated(self, drive: BackgroundObject[DriveAlignment], frame: Frame) -> Realigned | None:
         """The estimate from the frames since the movement, if it is complete."""
-        if self._aligned is None and frame.right is not None:
+        if self._pending_alignment is None and frame.right is not None:
             corrected = replace(frame, right=self._camera.warped(frame.right))
-            self._aligned = drive.call(_aligned, corrected)
-        if self._aligned is None or not self._background.is_ready(self._aligned):
+            self._pending_alignment = drive.call(_align_with, corrected)
+        if self._pending_alignment is None or not self._background.is_ready(
+            self._pending_alignment
+        ):
             return None
-        alignment, self._aligned = self._aligned.result(), None
+        alignment, self._pending_alignment = self._pending_alignment.result(), None
         if alignment is None:
             return None
         if not alignment.is_measured:
