@@ -19,6 +19,7 @@ from track_range.recording.speed_source import (
 )
 from track_range.recording.telemetry.checks import usable
 from track_range.recording.telemetry.found import named_telemetry
+from track_range.recording.telemetry.sidecars.nmea import read_nmea
 from track_range.recording.telemetry.sidecars.reading import read_sidecar
 from track_range.recording.telemetry.speed_files import EgoSpeedError
 from track_range.recording.telemetry.tracks.track import TelemetryError
@@ -399,6 +400,18 @@ DAMAGED = {
     "a.csv": table(LAYOUTS["Torque"]).encode(),
     "b.csv": table(LAYOUTS["vx vy vz"], ";").encode(),
 }
+
+
+def test_a_date_that_no_calendar_has_is_left_out(tmp_path):
+    path = tmp_path / "a.nmea"
+    lines = [
+        nmea(f"GPGGA,10000{k}.00,4806.{k},N,01130.0,E,1,09,0.9,520.0,M,47.0,M,,") for k in range(3)
+    ]
+    date = nmea("GPZDA,100000.00,03,05,202611111111111111111,00,00")
+    path.write_text("\n".join([*lines, date]))
+    found = read_nmea(path)
+    assert found is not None
+    assert found.time_s.tolist() == [36001.0]  # seconds of the day
 
 
 @pytest.mark.parametrize("name", DAMAGED)

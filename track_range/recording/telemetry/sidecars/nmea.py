@@ -84,7 +84,7 @@ def _without_rmc(lines: Iterable[str], path: Path) -> TelemetryTrack | None:
                 samples[-1] = samples[-1]._replace(speed_mps=speed_mps, course_deg=course_deg)
             elif match[1] == "ZDA":
                 day_s = datetime(message.year, message.month, message.day, tzinfo=UTC).timestamp()
-        except (ValueError, AttributeError, LookupError, TypeError):
+        except (ValueError, OverflowError, AttributeError, LookupError, TypeError):
             continue
     if not samples:
         return None
