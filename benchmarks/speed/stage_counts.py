@@ -15,7 +15,7 @@ import time
 import timeit
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import cache, wraps
 from itertools import chain
 from types import BuiltinFunctionType, CodeType, FrameType
@@ -67,8 +67,14 @@ class StageProbe(StageClock):
 
     @contextmanager
     def frame(self, *, counts: bool = False) -> Iterator[None]:
-        """Count the with-block as a frame: its times, or its calls."""
+        """Count the with-block as a frame: its times, or its calls.
+
+        No trace function, as that of a debugger or of coverage, is active in it: it takes time, and
+        the interpreter adapts no operators under one.
+        """
         self._frame_s.clear()
+        trace_function = sys.gettrace()
+        sys.settrace(None)
         if counts:
             self._start_counting()
         self._since_s = time.thread_time()
@@ -78,15 +84,19 @@ class StageProbe(StageClock):
         finally:
             if counts:
                 _stop_counting()
+            sys.settrace(trace_function)
         if not counts:
             self.times_s.append(dict(self._frame_s))
 
-    def wrap(self, stages: Mapping[str, Sequence[str]]) -> None:
-        """Make stages of functions, by paths as in `processor_time.STEPS`."""
-        for name, paths in stages.items():
-            for path in paths:
-                for owner, function in functions_at(path):
+    @contextmanager
+    def wrapped(self, stages: Mapping[str, Sequence[str]]) -> Iterator[None]:
+        """Make stages of functions in the with-block, by paths as in `processor_time.STEPS`."""
+        with ExitStack() as stack:
+            for name, paths in stages.items():
+                for owner, function in chain.from_iterable(map(functions_at, paths)):
+                    stack.callback(setattr, owner, function.__name__, function)
                     setattr(owner, function.__name__, self._as_stage(function, name))
+            yield
 
     def _as_stage(self, function: Callable[..., Any], name: str) -> Callable[..., Any]:
         @wraps(function)

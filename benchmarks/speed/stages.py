@@ -114,18 +114,16 @@ def _of_traffic(n_tracks: int, options: Namespace) -> Figures:
 def stage_figures(
     drive: DenseTraffic, frames: list[Frame], *, has_images: bool
 ) -> dict[str, dict[str, float]]:
-    """Figures of each stage of the pipeline and of the output of a run; the functions in `WITHIN`
-    remain wrapped.
-    """
+    """Figures of each stage of the pipeline and of the output of a run."""
     probe = StageProbe()
-    probe.wrap(WITHIN)
     is_pair = frames[0].right is not None
     detections = [drive.detections(frame) for frame in frames]
-    pipeline = _pipeline(drive.renderer.rig, detections, is_pair=is_pair, has_images=has_images)
-    pipeline.clock = probe
     overlay, rows = Overlay(camera=drive.renderer.rig.left), RunRows(fps=FPS)
     n_counted = 0
     with ExitStack() as stack:
+        stack.enter_context(probe.wrapped(WITHIN))
+        pipeline = _pipeline(drive.renderer.rig, detections, is_pair=is_pair, has_images=has_images)
+        pipeline.clock = probe
         stack.callback(pipeline.close)
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         info = RunInfo(camera=drive.renderer.rig.left, rig=None, fps=FPS, settings={})

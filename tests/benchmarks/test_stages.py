@@ -1,5 +1,7 @@
 """Tests of the times and calls of stages: the drive that they are measured on, and the counts."""
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -47,6 +49,20 @@ def test_functions_of_numpy_are_restored():
     assert (np.maximum, np.where, np.linalg.norm) == before
 
 
+def test_a_trace_function_counts_for_nothing_and_is_active_again():
+    def trace(*_):
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        rows = counted()
+        assert sys.gettrace() is trace
+    finally:
+        sys.settrace(before)
+    assert rows["inner"][ARRAYS] == 3
+
+
 def test_time_of_a_stage_within_another_one_counts_once():
     probe = StageProbe()
     with probe.frame(), probe.stage("outer"), probe.stage("inner"):
@@ -62,10 +78,8 @@ def test_functions_that_are_stages_exist(path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("is_pair", [False, True])
-def test_every_stage_of_a_frame_has_figures(is_pair, monkeypatch):
-    for paths in WITHIN.values():
-        for owner, function in (pair for path in paths for pair in functions_at(path)):
-            monkeypatch.setattr(owner, function.__name__, function)
+def test_every_stage_of_a_frame_has_figures(is_pair):
+    wrapped = [pair for paths in WITHIN.values() for path in paths for pair in functions_at(path)]
     drive = DenseTraffic.of(6)
     frames = list(drive.blank_frames(N_FIRST + 10 + N_COUNTED))
     frames = frames if is_pair else [one_camera(frame) for frame in frames]
@@ -76,3 +90,4 @@ def test_every_stage_of_a_frame_has_figures(is_pair, monkeypatch):
     assert rows["sum"]["ms"] == pytest.approx(
         sum(row["ms"] for name, row in rows.items() if name != "sum")
     )
+    assert all(getattr(owner, function.__name__) is function for owner, function in wrapped)
