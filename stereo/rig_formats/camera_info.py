@@ -3,11 +3,12 @@ and its rigs.
 
 P = [K' | K' t'],  x' = R x,  t' = (-baseline, 0, 0) for the right camera
 
-x = point in the camera's frame, x' = in its rectified frame
+x = point in the camera's frame, x' = in its rectified frame. All are of the images of the whole
+sensor; images may have a region of it, and pixels that are binned
 (http://docs.ros.org/en/api/sensor_msgs/html/msg/CameraInfo.html).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,17 +33,47 @@ _COEFFICIENTS = (0, 4, 5, 8, 12, 14)  # numbers of coefficients of OpenCV's mode
 class CameraInfo:
     """Calibration of one camera."""
 
-    size_px: tuple[int, int]  # (width, height) of the images
+    size_px: tuple[int, int]  # (width, height) of images of the whole sensor
     model: str  # name of the distortion model
     distortion: tuple[float, ...]  # its coefficients
     k: FloatArray  # (3, 3) camera matrix
     r: FloatArray  # (3, 3) rotation to the rectified frame
     p: FloatArray  # (3, 4) projection matrix
+    # (x, y, width, height) of the part of the sensor that the images show; width 0 = all of it
+    region_px: tuple[int, int, int, int] = (0, 0, 0, 0)
+    binning: tuple[int, int] = (1, 1)  # pixels of the sensor per pixel of the images
 
     @property
     def is_fisheye(self) -> bool:
         """Whether the distortion is OpenCV's fisheye model."""
         return self.model in _FISHEYE_MODELS
+
+    def of_images(self, size_px: tuple[int, int], source: str) -> "CameraInfo":
+        """The calibration of images of this size: those of the region, binned, or of the whole
+        sensor, of which the images may be resized. RigError, which names the source: of neither.
+        """
+        x_px, y_px, *region = self.region_px
+        part_px = tuple(region) if region[0] and region[1] else self.size_px
+        x_bin, y_bin = (max(count, 1) for count in self.binning)
+        binned_px = part_px[0] // x_bin, part_px[1] // y_bin
+        if size_px == self.size_px or (part_px == self.size_px and size_px != binned_px):
+            return self
+        if size_px != binned_px:
+            raise RigError(
+                f"{source}: expected images of {binned_px[0]}x{binned_px[1]} px, as the region of "
+                f"interest and the binning state, or of {self.size_px[0]}x{self.size_px[1]} px, the "
+                f"whole sensor, found {size_px[0]}x{size_px[1]}; give --rig or --focal-px."
+            )
+        # pixel edges map to edges
+        scale_x, scale_y = 1 / x_bin, 1 / y_bin
+        shift = np.array(
+            [
+                [scale_x, 0.0, (0.5 - x_px) * scale_x - 0.5],
+                [0.0, scale_y, (0.5 - y_px) * scale_y - 0.5],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+        return replace(self, size_px=size_px, k=shift @ self.k, p=shift @ self.p)
 
 
 def camera_of(message: CameraInfo, path: Path, *, is_rectified: bool) -> PinholeCamera:

@@ -65,6 +65,7 @@ MOST_STATEMENTS = {
     # fits in closed form that stop when they have converged (80); disparities by static points between
     # two frames with block matching, and one flow of the pair and the tracker (70); frames between
     # two that are compared (30)
+    # the part of the sensor that images show (14)
     "stereo": 9_883,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
@@ -167,6 +168,7 @@ MOST_STATEMENTS = {
     # the mounting in the summary (5)
     # a given speed without satellites is named (3)
     # images near keyframes alone (3)
+    # the clock of the images of a bag, its words and its split files (95)
     "recording": 7_416,
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)

@@ -17,6 +17,7 @@ from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import first_line
 from track_range.foundation.files.numeric_text import number
 from track_range.recording.recording import Recording
+from track_range.recording.sources.bags.bag import is_bag
 from track_range.recording.telemetry.checks import with_unit
 from track_range.recording.telemetry.companions import companions
 from track_range.recording.telemetry.found import FoundTelemetry, candidates, named_telemetry
@@ -132,6 +133,9 @@ def _opened(setting: str, recording: Recording, mounting: Mounting | None) -> Sp
         return replace(series, time_s=series.time_s + part_s)
 
     if setting != AUTO:
+        if not parts and recording.live is None:  # a topic of a bag
+            length_s = (reader.n_total or 0) / reader.fps
+            parts = (VideoPart(Path(str(reader.path)), 0.0, length_s, recording.start_utc),)
         return _named(setting, parts, motion)
     if not parts:
         return SpeedSource()
@@ -163,7 +167,8 @@ def _named(
     setting: str, parts: Sequence[VideoPart], motion: Callable[[], MotionSeries]
 ) -> SpeedSource:
     path = Path(setting)
-    if math.isfinite(number(setting)) or not path.is_file() or not parts or _is_table(path):
+    is_log = (path.is_file() and not _is_table(path)) or (path.is_dir() and is_bag(path))
+    if math.isfinite(number(setting)) or not is_log or not parts:
         ego, notes = _checked(open_ego_speed(setting), parts)
         return SpeedSource(ego=ego, notes=notes)
     source, problem = _with_images(named_telemetry(path, parts), motion())

@@ -3,7 +3,8 @@ Foxglove's schemas."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -44,9 +45,14 @@ def ros_messages(
     encoding: str = "",
     info: str = "camera_info",
     k: list[float] = K,
+    times: Sequence[tuple[tuple[int, int], int]] = (),
+    info_fields: Mapping[str, Any] = {},
+    roi: Sequence[int] = (0, 0, 0, 0),
 ) -> list[tuple[int, str, str, Any]]:
-    """(time, topic, type, message) of images and calibrations; raw images if `encoding` is
-    given."""
+    """(time, topic, type, message) of images and calibrations; raw images if `encoding` is given.
+
+    `times` replace the stamps (seconds, nanoseconds) and recording times, ns; `info_fields` those
+    of the calibrations, whose region of interest is `roi` (x, y, height, width)."""
     types, ros1 = (
         store.types,
         "std_msgs/msg/Header" in store.types
@@ -55,7 +61,10 @@ def ros_messages(
     messages = []
     for number, shown in enumerate(images):
         stamp_ns = START_NS + number * STEP_NS
-        time = types["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
+        stamp, recorded_ns = divmod(stamp_ns, 10**9), stamp_ns + 20_000_000
+        if times:
+            stamp, recorded_ns = times[number]
+        time = types["builtin_interfaces/msg/Time"](*stamp)
         header = types["std_msgs/msg/Header"](*([number] if ros1 else []), time, "camera")
         for side, (name, offset_m) in enumerate(cameras(names)):
             image = shown if isinstance(shown, np.ndarray) else shown[side]
@@ -68,13 +77,13 @@ def ros_messages(
             else:
                 kind = "sensor_msgs/msg/CompressedImage"
                 message = types[kind](header, "png", np.frombuffer(jpeg(image), np.uint8))
-            recorded_ns = stamp_ns + 20_000_000
             messages.append((recorded_ns, f"{name}/{topic}", kind, message))
-            roi = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+            region = types["sensor_msgs/msg/RegionOfInterest"](*roi, False)
             matrices = ([0.0] * 5, k, R, projection(k, offset_m))
             calibration = types["sensor_msgs/msg/CameraInfo"](
-                header, 48, 64, "plumb_bob", *map(np.array, matrices), 0, 0, roi
+                header, 48, 64, "plumb_bob", *map(np.array, matrices), 0, 0, region
             )
+            calibration = replace(calibration, **info_fields)
             messages.append(
                 (recorded_ns, f"{name}/{info}", "sensor_msgs/msg/CameraInfo", calibration)
             )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +18,7 @@ from rosbags.rosbag1 import Writer
 from tests.support.results.frame_results import result
 from tests.track_range.recording.bag_writers import (
     START_NS,
+    K,
     write_foxglove,
     write_foxglove_video,
     write_ros1,
@@ -399,8 +400,10 @@ def test_bag_in_several_files(tmp_path: Path, images: list[np.ndarray]) -> None:
     assert [frame.index for frame in reader] == list(range(24))
     assert reader.n_frames == 24
     assert [frame.index for frame in open_video(folder, start_s=1.55, duration_s=0.2)] == [16, 17]
-    with pytest.raises(VideoError, match="one bag"):
-        open_video(Segments((folder / "trip_0.mcap", folder / "trip_1.mcap")))
+    both = Segments((folder / "trip_0.mcap", folder / "trip_1.mcap"))
+    for open_both in (lambda: open_video(both), lambda: both.with_topic("/cam/image")):
+        with pytest.raises(VideoError, match="one bag"):
+            open_both()
     (folder / "trip_1.mcap").rename(folder / "other.mcap")
     with pytest.raises(VideoError, match=r"metadata\.yaml"):
         open_video(folder)
@@ -416,6 +419,149 @@ def test_journal_of_a_killed_recorder(tmp_path: Path, images: list[np.ndarray]) 
         copy = tmp_path / "copy"
         shutil.copytree(bag, copy)  # with the journal, as after a kill
     assert 0 < len(list(open_video(BagTopic(copy, "/cam/image_raw/compressed")))) < 12
+
+
+def test_split_bag_of_ros1(tmp_path: Path, images: list[np.ndarray]) -> None:
+    """The names of `rosbag record --split` have the time of each file; other bags beside are not
+    joined."""
+    folder = tmp_path / "split"
+    folder.mkdir()
+    for number, begin in enumerate((0, 6)):
+        times = [
+            ((100, (begin + i) * 10**8), (1000 + begin + i) * 10**8) for i in range(len(images))
+        ]
+        name = f"drive_2021-10-01-10-00-0{number}_{number}.bag"
+        write(folder / name, "ros1", ("/cam",), images[begin : begin + 6], times=times)
+    assert is_bag(folder)
+    frames = list(open_video(BagTopic(folder, "/cam/image_raw/compressed")))
+    assert [frame.index for frame in frames] == list(range(12))
+    assert frames[-1].time_s - frames[0].time_s == pytest.approx(1.1)
+    (folder / "film.mp4").touch()
+    assert not is_bag(folder)
+    (folder / "film.mp4").unlink()
+    (folder / name).rename(folder / "drive_2021-10-01-11-00-00_0.bag")
+    with pytest.raises(VideoError, match="numbered as in drive_0"):
+        open_video(folder)
+
+
+def _times(stamps_s: Sequence[float], recorded_s: Sequence[float]) -> list[Any]:
+    return [
+        (divmod(round(stamp_s * 1e9), 10**9), round(time_s * 1e9))
+        for stamp_s, time_s in zip(stamps_s, recorded_s, strict=True)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("times", "n_frames", "note"),
+    [
+        # all nanoseconds in 32 bits, as some drivers count them
+        ([((5 + i // 4, i * 700_000_000 % 2**32), 10**9 * i // 10) for i in range(12)], 12, "1e9"),
+        (_times([7.0] * 12, [i / 10 for i in range(1, 13)]), 12, "repeat the time stamps"),
+        # set back by two seconds, with the recorder: one image is left out
+        (
+            _times(*[[9.0 + i / 10 - 2.0 * (i > 5) for i in range(12)]] * 2),
+            11,
+            "set back by 2.0 s at 0.5 s",
+        ),
+        # one image came late
+        (_times(*[[9 + i / 10 - 2.0 * (i == 5) for i in range(12)]] * 2), 11, "skipped 1 image"),
+    ],
+)
+def test_wrong_time_stamps(
+    tmp_path: Path, images: list[np.ndarray], times: list[Any], n_frames: int, note: str
+) -> None:
+    reader = open_video(write(tmp_path / "bag.bag", "ros1", ("/cam",), images, times=times))
+    for _ in range(2):
+        time_s = [frame.time_s for frame in reader]
+        assert len(time_s) == n_frames
+        assert np.diff(time_s).max() == pytest.approx(0.2 if n_frames < 12 else 0.1)
+        assert sum(note in line for line in reader.notes) == 1
+
+
+def test_images_without_any_time_are_refused(tmp_path: Path, images: list[np.ndarray]) -> None:
+    times = _times([7.0] * 12, [8.0] * 12)
+    with pytest.raises(VideoError, match="different times, found 12"):
+        open_video(write(tmp_path / "bag.bag", "ros1", ("/cam",), images, times=times))
+
+
+K_WHOLE = np.array([300.0, 0, 159.5, 0, 300, 119.5, 0, 0, 1])
+P_WHOLE = np.insert(K_WHOLE.reshape(3, 3), 3, [-30.0, 0, 0], axis=1).ravel()
+
+
+@pytest.mark.parametrize(
+    ("fields", "roi", "camera"),
+    [
+        # images of 64x48 px: a region of the sensor, all of it with binned pixels, a binned region
+        ({}, (100, 50, 48, 64), (300.0, 59.5, 69.5)),
+        ({"binning_x": 5, "binning_y": 5}, (0, 0, 240, 320), (60.0, 31.5, 23.5)),
+        ({"binning_x": 2, "binning_y": 2}, (100, 50, 96, 128), (150.0, 29.5, 34.5)),
+    ],
+)
+def test_region_and_binning(
+    tmp_path: Path, images: list[np.ndarray], fields: dict[str, Any], roi: Any, camera: Any
+) -> None:
+    fields = {"k": K_WHOLE, "p": P_WHOLE, "width": 320, "height": 240, **fields}
+    bag = write(tmp_path / "bag", "mcap", ("/cam",), images[:2], roi=roi, info_fields=fields)
+    info = open_video(bag).camera
+    assert info is not None
+    assert (info.k[0, 0], info.k[0, 2], info.k[1, 2]) == pytest.approx(camera)
+    assert info.p[0, 3] / info.p[0, 0] == pytest.approx(-0.1)
+    roi = (*roi[:2], 99, 99)
+    bag = write(tmp_path / "other", "mcap", ("/cam",), images[:2], roi=roi, info_fields=fields)
+    with pytest.raises(RigError, match="region of interest"):
+        open_video(bag)
+
+
+def test_images_described_by_p_alone(tmp_path: Path, images: list[np.ndarray]) -> None:
+    fields = {name: np.zeros(n) for name, n in (("k", 9), ("d", 5), ("r", 9))}
+    bag = write(tmp_path / "bag", "mcap", BOTH, images, info_fields=fields)
+    topics = [f"{side}/image_raw/compressed" for side in BOTH]
+    recording = open_recording(bag, bag, topics=topics, align="off", has_checks=False)
+    assert recording.rig is not None
+    assert (recording.rig.baseline_m, recording.camera.fx_px) == pytest.approx((0.5, 70.0))
+    recording.close()
+
+
+@pytest.mark.parametrize(
+    ("topic", "focal_px", "note"),
+    [
+        ("image_raw", 70.0, "info of"),
+        ("image_rect_color", 50.0, "P, 50 px"),
+        ("imageRect", 50.0, "P, 50 px"),
+        ("color_corrected", 70.0, "give --focal-px 50"),
+        ("unrectified", 70.0, "info of"),
+        ("directRaw", 70.0, "info of"),
+    ],
+)
+def test_rectified_by_the_words_of_a_topic(
+    tmp_path: Path, images: list[np.ndarray], topic: str, focal_px: float, note: str
+) -> None:
+    fields = {"p": np.diag([50.0, 50.0, 1.0]) @ np.eye(3, 4), "d": np.full(5, 1e-3)}
+    fields["p"] = fields["p"].ravel()
+    fields["p"][[2, 6]] = 31.5, 23.5
+    bag = write(tmp_path / "bag", "mcap", ("/cam",), images, topic=topic, info_fields=fields)
+    recording = open_recording(bag, has_checks=False)
+    assert recording.calibration.raw_camera is not None
+    assert recording.calibration.raw_camera.fx_px == pytest.approx(focal_px)
+    assert any(note in line for line in recording.videos[0].notes)
+    recording.close()
+
+
+def test_calibration_of_one_camera_of_two(tmp_path: Path, images: list[np.ndarray]) -> None:
+    bags = [
+        write(tmp_path / side, "mcap", (f"/{side}",), images, k=k)
+        for side, k in (("left", [0.0] * 9), ("right", K))
+    ]
+    recording = open_recording(*bags, align="off", has_checks=False)
+    assert recording.camera.fx_px == 70.0
+    assert any("left: no calibration" in note for note in recording.notes)
+    recording.close()
+
+
+def test_depth_alone_is_no_video(tmp_path: Path, images: list[np.ndarray]) -> None:
+    bag = write(tmp_path / "bag", "mcap", ("/cam",), images, topic="depth/image_rect")
+    with pytest.raises(VideoError, match="--topics"):
+        open_video(bag)
 
 
 def test_settings_of_a_bag(tmp_path: Path, images: list[np.ndarray]) -> None:

@@ -399,7 +399,12 @@ def find_calibration(
         loaded = _loaded(path, content, sizes_px, view, is_grey=videos[0].is_grey, aspect=aspect)
         return replace(loaded, search_notes=search_notes, pixel_aspect=aspect)
     _check_view(None, view)
-    return _without_file(left, videos, sizes_px, focal_px, _pixel_aspect(videos))
+    aspect, notes = _pixel_aspect(videos), tuple[str, ...]()
+    if focal_px is None and any(video.camera is not None for video in videos):
+        focal_px, note = _one_focal_length(videos, sizes_px, aspect)
+        notes = (note,)
+    calibration = _without_file(left, videos, sizes_px, focal_px, aspect)
+    return replace(calibration, search_notes=(*calibration.search_notes, *notes))
 
 
 def _pixel_aspect(videos: Sequence[Video], camera: PinholeCamera | None = None) -> float:
@@ -564,6 +569,27 @@ def _loaded(
         accuracy=content.accuracy,
         left_from_reference_m=np.array(content.left_from_reference_m),
         alternatives=image_size.fit_to_size(content.left, fitted_px[0]).alternatives,
+    )
+
+
+def _one_focal_length(videos: Sequence[Video], sizes_px: Sizes, aspect: float) -> tuple[float, str]:
+    """The focal length of the calibrated camera of two, px of images with square pixels, and a
+    note.
+    """
+    number, video, message = next(
+        (number, video, video.camera)
+        for number, video in enumerate(videos)
+        if video.camera is not None
+    )
+    is_rectified = video.is_rectified or is_undistorted(message)
+    camera = camera_of(message, source_of(video.path).files[0], is_rectified=is_rectified)
+    camera = camera.resized(sizes_px[number])
+    focal_px = camera.resized(square_size(sizes_px[number], aspect)).fx_px
+    unused = ", its distortion is not" if camera.is_distorted else ""
+    return focal_px, (
+        f"{videos[1 - number].path}: no calibration beside these images: only the focal length of the "
+        f"other camera is used, {focal_px:.0f} px{unused}; record the camera_info of both, or give "
+        "--rig."
     )
 
 

@@ -30,19 +30,24 @@ from track_range.recording.sources.bags.ros1_file import MAGIC as ROS1_MAGIC, Ro
 from track_range.recording.video.frame import VideoError
 
 _MCAP_MAGIC, _SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\0"
-# suffixes of the files in the folder of a ROS 2 bag
-_FOLDER_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+# suffixes of the files in the folder of a bag; those of ROS 1 also lie beside videos and images,
+# which are then the recording, but not beside these
+_ROS2_SUFFIXES, _ROS1_SUFFIX = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd"), ".bag"
+_TEXT_SUFFIXES = (".active", ".csv", ".json", ".md", ".txt", ".yaml", ".yml")
+# number of a file of a bag, in ROS 1 after the time at which the file begins
+_NUMBER = re.compile(r"(?:_?\d{4}(?:-\d{2}){5})?_(\d+)$")
 
 _MESSAGES = (
-    "SELECT timestamp, CASE WHEN timestamp >= ? THEN data END FROM messages WHERE topic_id = ? "
-    "ORDER BY id"
+    "SELECT timestamp, CASE WHEN id >= (SELECT MIN(id) FROM messages WHERE timestamp >= ?) "
+    "THEN data END FROM messages WHERE topic_id = ? ORDER BY id"
 )
-"""Query for the messages of a topic; the content of earlier messages is not read."""
+"""Query for the messages of a topic; the content before the first late enough message is not
+read."""
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is an MCAP file, a ROS bag, or the folder of a ROS 2 bag; files are recognised
-    by content.
+    """Whether a path is an MCAP file, a ROS bag, or the folder of a bag; files are recognised by
+    content.
     """
     try:
         if path.is_dir():
@@ -61,11 +66,13 @@ def open_bag(path: Path) -> Bag:
     if not path.is_dir():
         return _open_file(path)
     files = _files_in(path)
-    series = {_series(file.name) for file in files}
-    if len(series) > 1 and not (path / "metadata.yaml").exists():
+    series = [_series(file.name) for file in files]
+    is_one = len({name for name, _ in series}) == 1 and len(set(series)) == len(series)
+    if not (is_one or (path / "metadata.yaml").exists()):
         raise VideoError(
-            f"{path}: expected the files of one bag, found {shortened(files[0].name, 50)} and "
-            f"{shortened(files[-1].name, 50)} without metadata.yaml; give one file."
+            f"{path}: expected the files of one bag, numbered as in drive_0 and drive_1, found "
+            f"{shortened(files[0].name, 50)} and {shortened(files[-1].name, 50)} without "
+            "metadata.yaml; give one file."
         )
     return (
         _open_file(files[0])
@@ -134,15 +141,18 @@ class SqliteFile:
                 )
 
 
-def _series(name: str) -> str:
-    """Name of a recording from that of one of its files: trip_0.mcap -> trip."""
-    parts = name.split(".")
-    n_parts = len(parts)
-    while len(parts) > 1 and re.fullmatch(r"\w+", parts[-1]):
-        parts.pop()
-    if len(parts) == n_parts:
-        return name
-    return ".".join(parts).rstrip("0123456789").removesuffix("_")
+def _series(name: str) -> tuple[str, int]:
+    """Name of a recording and number of a file of it: trip_2.mcap -> trip, 2; -1 = no number."""
+    stem = next(
+        (
+            name[: -len(end)]
+            for end in (*_ROS2_SUFFIXES, _ROS1_SUFFIX)
+            if name.lower().endswith(end)
+        ),
+        name,
+    )
+    number = _NUMBER.search(stem)
+    return (stem, -1) if number is None else (stem[: number.start()], int(number[1]))
 
 
 def _count(database: sqlite3.Connection, topic_id: int) -> int | None:
@@ -234,10 +244,14 @@ def _open_file(path: Path) -> Bag:
 
 
 def _files_in(folder: Path) -> list[Path]:
-    """Files of the folder of a ROS 2 bag in the order of metadata.yaml, else of their names."""
+    """Files of the folder of a bag in the order of metadata.yaml, else of their numbers."""
+    names = [path.name.lower() for path in folder.iterdir()]
+    suffixes: tuple[str, ...] = _ROS2_SUFFIXES
+    if all(name.endswith((_ROS1_SUFFIX, *_TEXT_SUFFIXES)) for name in names):
+        suffixes = (_ROS1_SUFFIX,)
     files = sorted(
-        (path for path in folder.iterdir() if path.name.lower().endswith(_FOLDER_SUFFIXES)),
-        key=lambda path: (len(path.name), path.name),  # bag_9.mcap before bag_10.mcap
+        (path for path in folder.iterdir() if path.name.lower().endswith(suffixes)),
+        key=lambda path: (_series(path.name)[1], len(path.name), path.name),
     )
     if not files:
         return []

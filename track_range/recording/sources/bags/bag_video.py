@@ -8,13 +8,14 @@ from collections.abc import Generator
 
 import numpy as np
 
-from track_range.foundation.arrays import Image
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.files.images import check_size
 from track_range.foundation.files.input_files import counted, shortened
 from track_range.recording.sources.bags import decoding
 from track_range.recording.sources.bags.bag import open_bag, topic_list
 from track_range.recording.sources.bags.bag_topic import BagTopic
 from track_range.recording.sources.bags.container import DamagedError, Topic
+from track_range.recording.sources.bags.image_clock import ImageClock
 from track_range.recording.sources.files.file_state import FileState
 from track_range.recording.sources.files.video_file import ZED_SENTENCE
 from track_range.recording.video.frame import (
@@ -22,14 +23,12 @@ from track_range.recording.video.frame import (
     VideoError,
     VideoFrame,
     is_neutral,
-    strictly_later,
 )
 from track_range.recording.video.recorded_video import RecordedVideo
 from track_range.recording.video.utc import UtcStart
-from track_range.stereo.rig_formats.camera_info import CameraInfo
+from track_range.stereo.rig_formats.camera_info import CameraInfo, is_undistorted
 
 _N_FIRST = 30  # messages from which the frame rate is estimated
-_FALLBACK_RATE_HZ = 10.0  # of a topic with a single message
 _MAX_LATENCY_S = 5.0  # largest time, s, between the time stamp of an image and its recording
 # 1990; smaller times come from a simulation, or count since a computer was started
 _FIRST_PLAUSIBLE_S = 631_152_000.0
@@ -44,17 +43,32 @@ _CALIBRATION_NAMES = ("camera_info", "calibration", "info/camera_info")
 .../info/camera_info."""
 
 
+# words in the names of topics: rectified images, others, and those of RealSense, ZED and OAK cameras
+# that are no images of the scene
+_RECTIFIED = {"rect", "rectified", "undistorted"}
+_RAW = {"raw", "unrectified", "distorted"}
+_DEPTH = {"depth", "disparity", "confidence"}
+# relative difference of the focal lengths of K and P from which it matters which one is meant
+_FOCAL_DIFFERENCE = 0.01
+
+
+def _words(topic: str) -> set[str]:
+    """The words in the name of a topic, in lower case: image_rectColor -> image, rect, color."""
+    return {word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", topic)}
+
+
 def _is_depth(topic: str) -> bool:
-    """Whether a topic has depth images by its name, as RealSense, ZED and OAK cameras name them."""
-    return re.search(r"(^|[/_])(depth|disparity|confidence)([/_]|$)", topic.lower()) is not None
+    """Whether a topic has depth images by its name."""
+    return not _DEPTH.isdisjoint(_words(topic))
 
 
 class BagVideo(RecordedVideo):
-    """Images of one topic, in the order of their time stamps, which are seconds since 1970.
+    """Images of one topic, in the order of their times, which are seconds since 1970.
 
-    `camera` is the calibration in a topic beside it, if any; `is_rectified` follows from the
-    topic's name. Raises VideoError if the bag has no such topic or no image can be read, and, while
-    iterating, if an image differs in size.
+    `camera` is the calibration in a topic beside it, if any, of the part of the sensor that the
+    images show; `is_rectified` follows from the words in the topic's name. Raises VideoError if the
+    bag has no such topic or no image can be read, and, while iterating, if an image differs in
+    size, and RigError if the calibration states another size.
     """
 
     path: BagTopic
@@ -67,24 +81,28 @@ class BagVideo(RecordedVideo):
         self._states = {file: FileState.of(file) for file in files if file.is_file()}
         self._topic = self._chosen_topic()
         self._setup_notes: list[str] = []
-        self._n_backward = self._n_damaged = 0
-        self._uses_headers = True
+        self._n_damaged = 0
         try:
-            first, times_s = self._first_image()
+            first, self._first_s = self._first_image()
         except DamagedError as error:
             raise VideoError(
                 f"{name}: expected images ({self._topic.type}), found other messages: "
                 f"{shortened(str(error), 100)}."
             ) from error
-        self.first_time_s = times_s[0]
+        try:
+            self._clock = ImageClock(self._first_s)
+        except ValueError as error:
+            raise VideoError(f"{name}: expected {error}.") from error
+        if self._clock.fault:
+            self._setup_notes.append(
+                f"{name}: {self._clock.fault}; the times of recording are used."
+            )
+        self.first_time_s, self.fps = self._clock.first_time_s, self._clock.fps
         self.height_px, self.width_px = first.shape[:2]
         check_size(name, (self.width_px, self.height_px), VideoError)
         self.is_grey, self.first_image = is_neutral(first), first
-        steps_s = np.diff(times_s)
-        steps_s = steps_s[steps_s > TIME_EPSILON_S]
-        self.fps = float(1 / np.median(steps_s)) if steps_s.size else _FALLBACK_RATE_HZ
         self.n_total = self._topic.n_messages
-        self.is_rectified = "rect" in self._topic.name.lower().replace("direct", "")
+        self.is_rectified = not _RECTIFIED.isdisjoint(_words(self._topic.name))
         self.camera = self._calibration()
         depth = [
             topic.name
@@ -101,7 +119,7 @@ class BagVideo(RecordedVideo):
         """See `RecordedVideo`."""
         if self.first_time_s < _FIRST_PLAUSIBLE_S:
             return None
-        source = "time stamps of the images" if self._uses_headers else "recording times of the bag"
+        source = "recording times of the bag" if self._clock.fault else "time stamps of the images"
         return UtcStart(self.first_time_s, source, _UTC_UNCERTAINTY_S)
 
     @property
@@ -110,33 +128,37 @@ class BagVideo(RecordedVideo):
         skipped = (
             (self._bag.n_damaged, "damaged part", " of the file"),
             (self._n_damaged, "damaged image", ""),
-            (self._n_backward, "image", " with a repeated or backward time"),
+            (self._clock.n_backward, "image", " with a repeated or backward time"),
         )
+        set_back = [
+            f"the clock of the images is set back by {step_s:.1f} s at {time_s:.1f} s; the times go "
+            "on from there by the usual interval."
+            for time_s, step_s in self._clock.set_back[:3]
+        ]
         end = (
             [f"{self._bag.end_problem}; all earlier images were used."]
             if self._bag.end_problem
             else []
         )
-        notes = end + [f"skipped {counted(n, noun)}{clause}." for n, noun, clause in skipped if n]
+        notes = end + set_back
+        notes += [f"skipped {counted(n, noun)}{clause}." for n, noun, clause in skipped if n]
         return (*self._setup_notes, *(f"{self.path}: {note}" for note in notes))
 
     def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
         """See `RecordedVideo.frames`; reading ends where the file is cut off."""
-        self._n_backward = self._n_damaged = 0
+        self._n_damaged = 0
+        self._clock = clock = ImageClock(self._first_s)
         self.check_unchanged()
-        decoder, last_s = decoding.ImageDecoder(self._topic), None
+        decoder = decoding.ImageDecoder(self._topic)
         # a video is decoded from its start
-        recorded_from_s = 0.0 if decoder.is_video else from_s - _MAX_LATENCY_S
+        is_whole = decoder.is_video or from_s <= self.first_time_s
+        recorded_from_s = 0.0 if is_whole else from_s - _MAX_LATENCY_S
         for number, recorded_s, data in self._bag.messages(self._topic.name, recorded_from_s):
             try:
                 stamp_s, message = decoder.message(data)
-                time_s = strictly_later(
-                    stamp_s if self._uses_headers else recorded_s, last_s, interval_s=1 / self.fps
-                )
+                time_s = clock.time_s(stamp_s, recorded_s)
                 if time_s is None:
-                    self._n_backward += 1
                     continue
-                last_s = time_s
                 if time_s >= until_s - TIME_EPSILON_S:
                     return
                 is_before = time_s < from_s - TIME_EPSILON_S
@@ -165,7 +187,7 @@ class BagVideo(RecordedVideo):
         name = self.path.topic
         if name is None:
             images = [topic.name for topic in topics.values() if topic.type in decoding.IMAGE_TYPES]
-            images = [one for one in images if not _is_depth(one)] or images
+            images = [one for one in images if not _is_depth(one)]
             if len(images) != 1:
                 raise VideoError(
                     f"{self.path}: expected --topics with the topics of the images, found {listed}."
@@ -184,7 +206,8 @@ class BagVideo(RecordedVideo):
             )
         return topic
 
-    def _first_image(self) -> tuple[Image, list[float]]:
+    def _first_image(self) -> tuple[Image, FloatArray]:
+        """The first image, and (N, 2) time stamps and recording times of the first messages."""
         decoder, first = decoding.ImageDecoder(self._topic), None
         times_s: list[tuple[float, float]] = []
         problem = "no messages"
@@ -200,15 +223,7 @@ class BagVideo(RecordedVideo):
         if first is None:
             raise DamagedError(problem)
         self.pixel_aspect = decoder.pixel_aspect
-        # a simulation may begin at 0
-        self._uses_headers = any(stamp_s > 0 for stamp_s, _ in times_s)
-        if not self._uses_headers:
-            self._setup_notes.append(
-                f"{self.path}: images have no time stamps; the times of recording are used."
-            )
-        return first, [
-            stamp_s if self._uses_headers else recorded_s for stamp_s, recorded_s in times_s
-        ]
+        return first, np.array(times_s)
 
     def _calibration(self) -> CameraInfo | None:
         """The first message of the calibration topic beside the images: /left/image_raw ->
@@ -230,6 +245,26 @@ class BagVideo(RecordedVideo):
                 except DamagedError:
                     continue
                 if camera.k[0, 0] > 0:  # an uncalibrated camera has K = 0
-                    self._setup_notes.append(f"Using calibration {topic.name} of {self.path.path}.")
-                    return camera
+                    self._setup_notes.append(
+                        f"Using calibration {topic.name} of {self.path.path}"
+                        f"{self._matrix_used(camera)}."
+                    )
+                    size_px = self.width_px, self.height_px
+                    return camera.of_images(size_px, f"{self.path.path} ({topic.name})")
         return None
+
+    def _matrix_used(self, camera: CameraInfo) -> str:
+        """The matrix that describes the images, as the end of a note, where the names of topics do
+        not say it, or say that it is not K; "" = it is clear.
+        """
+        focal_px, rectified_px = float(camera.k[0, 0]), float(camera.p[0, 0])
+        if is_undistorted(camera) or abs(rectified_px / focal_px - 1) <= _FOCAL_DIFFERENCE:
+            return ""
+        if self.is_rectified:
+            return f": P, {rectified_px:.0f} px, since the images are rectified by their name"
+        if not _RAW.isdisjoint(_words(self._topic.name)):
+            return ""
+        return (
+            f": K and D, {focal_px:.0f} px, as of raw images; if they are rectified, give --focal-px "
+            f"{rectified_px:.0f}"
+        )

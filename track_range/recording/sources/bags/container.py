@@ -74,7 +74,7 @@ class Bag(Protocol):
         """Number, from 0, time of recording in s, and content of the messages of a topic in the
         order of the file.
 
-        Messages before `from_s` may be left out, but are counted.
+        Messages before the first one at `from_s` or later may be left out, but are counted.
         """
 
 

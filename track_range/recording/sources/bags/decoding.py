@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any, cast
@@ -87,8 +88,8 @@ class ImageDecoder:
         return None if self._codec is None else stated_pixel_aspect(self._codec.sample_aspect_ratio)
 
     def message(self, data: bytes) -> tuple[float, Any]:
-        """Seconds since 1970, 0 = none, and content of a message; raises DamagedError if it cannot
-        be read.
+        """Seconds since 1970, see `stamp_s`, and content of a message; raises DamagedError if it
+        cannot be read.
         """
         try:
             message = self._parsed(data)
@@ -165,14 +166,16 @@ def _uncompressed(data: bytes) -> bytes:
 
 
 def stamp_s(message: Any) -> float:
-    """Time stamp of a message of ROS (header.stamp) or Foxglove (timestamp) in s; 0 = none."""
+    """Time stamp of a message of ROS (header.stamp) or Foxglove (timestamp) in s; 0 = none, NaN =
+    with 1e9 or more nanoseconds, as of drivers that count all nanoseconds in 32 bits.
+    """
     header = getattr(message, "header", None)
     stamp = message.timestamp if header is None else header.stamp
     seconds = stamp.sec if hasattr(stamp, "sec") else stamp.seconds
     nanoseconds = next(
         getattr(stamp, name) for name in ("nanosec", "nanos", "nsec") if hasattr(stamp, name)
     )
-    return float(seconds) + float(nanoseconds) / 1e9
+    return float(seconds) + float(nanoseconds) / 1e9 if nanoseconds < 1e9 else math.nan
 
 
 def _compressed_image(content: bytes) -> Image:
@@ -221,17 +224,20 @@ def camera_message(topic: Topic, data: bytes) -> CameraInfo:
             np.array(getattr(message, name, getattr(message, name.upper(), ())), float)
             for name in "dkrp"
         )
-        r, p = (
-            r if r.any() else np.eye(3).ravel(),
-            p if p.any() else np.insert(k.reshape(3, 3), 3, 0.0, axis=1).ravel(),
-        )
+        k, p = k.reshape(3, 3), (p if p.size else np.zeros(12)).reshape(3, 4)
+        if not k.any():  # of rectified images, which P alone describes
+            k, d, r = p[:, :3], np.empty(0), np.eye(3)
+        roi = getattr(message, "roi", None)
+        region = [getattr(roi, name, 0) for name in ("x_offset", "y_offset", "width", "height")]
         return CameraInfo(
             (int(message.width), int(message.height)),
             str(message.distortion_model),
             tuple(d.tolist()),
-            k.reshape(3, 3),
-            r.reshape(3, 3),
-            p.reshape(3, 4),
+            k,
+            (r if r.any() else np.eye(3)).reshape(3, 3),
+            p if p.any() else np.insert(k, 3, 0.0, axis=1),
+            (int(region[0]), int(region[1]), int(region[2]), int(region[3])),
+            (int(getattr(message, "binning_x", 1)), int(getattr(message, "binning_y", 1))),
         )
     except Exception as error:  # the errors of the parsers derive from Exception
         raise DamagedError(f"no {topic.type}") from error

@@ -76,12 +76,15 @@ class McapFile:
                 for number, message in enumerate(self._in_sequence(file, topic)):
                     yield number, message.log_time / 1e9, message.data
                 return
+            is_late = False
             for index in self._chunks:
+                # and so are all later chunks, if the clock is set back
+                is_late |= index.message_end_time / 1e9 >= from_s
                 offsets, messages = index.message_index_offsets, list[Message]()
                 if offsets and channels.isdisjoint(offsets):
                     continue
                 try:
-                    if offsets and index.message_end_time / 1e9 < from_s:
+                    if offsets and not is_late:
                         for channel in channels & offsets.keys():
                             number += _n_indexed(file, offsets[channel])
                     else:

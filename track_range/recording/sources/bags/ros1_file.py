@@ -85,9 +85,11 @@ class Ros1File:
                 for number, (time_s, data) in enumerate(self._in_sequence(file, topic)):
                     yield number, time_s, data
                 return
+            is_late = False
             for offset, end_s, counts in self._chunks:
                 n_messages = sum(counts.get(connection, 0) for connection in connections)
-                if not n_messages or end_s < from_s:
+                is_late |= end_s >= from_s  # and so are all later chunks, if the clock is set back
+                if not n_messages or not is_late:
                     number += n_messages
                     continue
                 try:

@@ -305,8 +305,8 @@ def files_of_parts(name: Segments) -> list[Path]:
         bag = next((part for part in name.paths if is_bag(part)), None)
         if bag is not None:
             raise VideoError(
-                f"{bag}: expected video files, found an MCAP file or ROS bag; give one bag, or a "
-                "folder with its files."
+                f"{bag}: expected video files, found an MCAP file or ROS bag; give one bag, or the "
+                "folder of the files of one bag, such as drive_0.bag and drive_1.bag."
             )
         return [path for part in name.paths for path in (_files_in(part) or [part])]
 

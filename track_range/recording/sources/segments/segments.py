@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from track_range.foundation.files.input_files import counted
-from track_range.recording.video.source_name import RecordedName
+from track_range.recording.video.source_name import RecordedName, SourceName
 
 if TYPE_CHECKING:
     from track_range.recording.sources.segments.segmented_video import SegmentedVideo
@@ -23,6 +23,13 @@ class Segments(RecordedName):
 
     def __str__(self) -> str:
         return f"{self.paths[0]} and {counted(len(self.paths) - 1, 'other file')}"
+
+    def with_topic(self, topic: str) -> SourceName:
+        """See `SourceName`; the files of a bag are given as their folder."""
+        from track_range.recording.sources.segments import segmented_video
+
+        segmented_video.files_of_parts(self)
+        return SourceName.with_topic(self, topic)
 
     def open_whole(self, options: RecordingOptions, left: Video | None = None) -> SegmentedVideo:
         """See `RecordedName`."""

@@ -93,6 +93,8 @@ def _values(
         for _, recorded_s, data in islice(messages, MAX_SAMPLES):
             with suppress(Exception):  # protobuf's and rosbags' errors derive from Exception
                 message = parse(data)
-                rows.append((stamp_s(message) or recorded_s, *read(message)))
-    values = np.array(rows) if rows else np.empty((0, 3))
-    return values[:, 0], values[:, 1:]
+                rows.append((stamp_s(message), recorded_s, *read(message)))
+    values = np.array(rows) if rows else np.empty((0, 4))
+    time_s = values[:, 0]
+    is_stamped = (time_s > 0) & ~np.isnan(time_s).any()  # beside wrong ones, right by chance
+    return np.where(is_stamped, time_s, values[:, 1]), values[:, 2:]
