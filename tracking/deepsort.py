@@ -451,7 +451,12 @@ class DeepSortTracker:
         rows = np.sort(np.concatenate([detected, missing]))
         boxes_px = xyxy_px.take(rows, axis=0)
         return Tracks(
-            table.track_id[rows], boxes_px, table.class_id[rows], score[rows], is_detected[rows]
+            table.track_id[rows],
+            boxes_px,
+            table.class_id[rows],
+            score[rows],
+            is_detected[rows],
+            *table.class_doubt(rows),
         )
 
     def _smoothed(self, tracks: Tracks) -> Tracks:
@@ -476,6 +481,7 @@ class DeepSortTracker:
             table.class_id[rows],
             table.score[rows],
             is_detected[rows],
+            *table.class_doubt(rows),
         )
 
 

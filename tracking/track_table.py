@@ -6,6 +6,7 @@ where there are embeddings.
 """
 
 import numpy as np
+from scipy.special import ndtr
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
@@ -18,6 +19,7 @@ from track_range.tracking.motion import MotionNoise
 # tracks with a random one of two classes in each frame, 0.2 % change more than once in 100 frames;
 # nine votes correct three wrong ones.
 _MIN_LEAD = 1.5
+_LEAST_PROBABILITY = 0.003  # of another class; less is no doubt
 _PERSON = ROAD_CLASSES.index("person")
 
 
@@ -107,6 +109,23 @@ class TrackTable:
         self.class_id = np.where(
             votes - own_votes > _MIN_LEAD * np.sqrt(votes + own_votes), best, self.class_id
         )
+
+    def class_doubt(self, rows: IntArray) -> tuple[IntArray, FloatArray]:
+        """(M,) class with the most other votes of the tracks `rows` (M,), and the probability that
+        it leads in the end: votes scatter as `_elect` assumes. 0 for tracks of one class.
+        """
+        class_id, votes = self.class_id[rows], self.class_votes.take(rows, axis=0)
+        if np.count_nonzero(votes) == len(rows):
+            return class_id, np.zeros(len(rows))
+        row = np.arange(len(rows))
+        own_votes = votes[row, class_id]
+        votes[row, class_id] = 0.0
+        other = votes.argmax(axis=1)
+        other_votes = votes[row, other]
+        lead = (other_votes - own_votes) / np.sqrt(own_votes + other_votes)
+        probability = np.where(other_votes > 0, ndtr(lead), 0.0)
+        is_doubtful = probability > _LEAST_PROBABILITY
+        return np.where(is_doubtful, other, class_id), np.where(is_doubtful, probability, 0.0)
 
     def initiate(
         self, first_id: int, detections: Detections, time_s: float, *, noise: MotionNoise

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,9 @@ class Tracks:
         class_id: (N,) int64, index into `ROAD_CLASSES`.
         score: (N,) float64 in [0, 1].
         observed: (N,) bool, False where the box is predicted, without a detection in this frame.
+        other_class_id: (N,) int64, the class that the track may have instead; the same one if there
+            is no doubt, as by default.
+        other_probability: (N,) float64 probability of this class; 0 by default.
     """
 
     track_id: IntArray
@@ -44,14 +47,21 @@ class Tracks:
     class_id: IntArray
     score: FloatArray
     observed: BoolArray
+    other_class_id: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    other_probability: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         n = len(self.track_id)
+        if n and not len(self.other_probability):  # the default
+            object.__setattr__(self, "other_class_id", self.class_id)
+            object.__setattr__(self, "other_probability", np.zeros(n))
         check_shape("track_id", self.track_id, (n,))
         check_shape("xyxy_px", self.xyxy_px, (n, 4))
         check_shape("class_id", self.class_id, (n,))
         check_shape("score", self.score, (n,))
         check_shape("observed", self.observed, (n,))
+        check_shape("other_class_id", self.other_class_id, (n,))
+        check_shape("other_probability", self.other_probability, (n,))
 
     def __len__(self) -> int:
         return len(self.track_id)

@@ -168,7 +168,8 @@ class SizeRanger(Ranger):
             errors=self._errors,
             uses_width_bottom=(uses_width[rows], np.ones(len(rows), np.bool_)),
         )
-        self._drive.start_frame(tracks.track_id[rows], frame.time_s)
+        doubt = tracks.other_class_id[rows], tracks.other_probability[rows]
+        self._drive.start_frame(tracks.track_id[rows], frame.time_s, doubt)
         measured = self._curves.measure(boxes, self._drive)
         incomplete_m = measured.distance_m * incomplete_sigma(tracks.xyxy_px, is_cut)[rows]
         distance_m, sigma_m, systematic_m = np.full((3, len(tracks)), np.nan)

@@ -109,8 +109,16 @@ class CuboidSizes:
         return np.asarray((self._mixture[1] > IMPOSSIBLE).sum(axis=1))
 
     @cached_property
+    def _fraction(self) -> FloatArray:
+        # (classes, B) probabilities of all body types, by the class of the detector
+        confusion = [CLASS_CONFUSION.get(name, {name: 1.0}) for name in SIZE_CLASSES]
+        names = self._tables.class_name
+        true = np.array([[kinds.get(name, 0.0) for name in names] for kinds in confusion])
+        return np.asarray(true * self._tables.fraction)
+
+    @cached_property
     def _mixture(self) -> tuple[IntArray, FloatArray]:
-        return _body_mixture(self._tables)
+        return _possible_bodies(self._fraction)
 
     def measure(self, boxes: BoxExtents, drive: DriveState | None = None) -> SizeRanges:
         """Distances of the boxes of one frame, which share a ground plane.
@@ -129,10 +137,11 @@ class CuboidSizes:
         self, boxes: BoxExtents, drive: DriveState | None, rows: IntArray
     ) -> tuple[FloatArray, ...]:
         n_bodies = len(self._tables.class_name)
-        body, log_fraction = self._bodies_of(boxes)
-        # possible types come first
-        n_possible = int(self._n_bodies[boxes.size_class].max())
-        body, log_fraction = body[:, :n_possible], log_fraction[:, :n_possible]
+        if drive is not None and drive.doubt:
+            other, probability = drive.doubt
+            body, log_fraction = self._bodies_in_doubt(boxes, other[rows], probability[rows])
+        else:
+            body, log_fraction = self._bodies_of(boxes)
         if drive is not None:
             log_fraction += drive.body_evidence(n_bodies)[body, rows[:, None]]
         by_size = mixture_by_size(self._tables, boxes, body, log_fraction)
@@ -197,8 +206,19 @@ class CuboidSizes:
 
     def _bodies_of(self, boxes: BoxExtents) -> tuple[IntArray, FloatArray]:
         """(N, M) body types that each box may show, and their log probabilities."""
+        # possible types come first
+        n_possible = int(self._n_bodies[boxes.size_class].max())
         body, log_fraction = self._mixture
+        body, log_fraction = body[:, :n_possible], log_fraction[:, :n_possible]
         return body.take(boxes.size_class, axis=0), log_fraction.take(boxes.size_class, axis=0)
+
+    def _bodies_in_doubt(
+        self, boxes: BoxExtents, other: IntArray, probability: FloatArray
+    ) -> tuple[IntArray, FloatArray]:
+        """The same of boxes (N,) that may be of another class with a probability."""
+        q = np.where(self._has_prior[other], probability, 0.0)[:, None]
+        fraction = (1.0 - q) * self._fraction[boxes.size_class] + q * self._fraction[other]
+        return _possible_bodies(fraction)
 
     def _body_likelihood(
         self,
@@ -208,8 +228,8 @@ class CuboidSizes:
         grid: LogGrid,
         likelihood: FloatArray,
     ) -> FloatArray:
-        """(B, N) log likelihoods of all body types by size and ground; 0 = the most likely type,
-        -inf = impossible.
+        """(B, N) log likelihoods of all body types by size and ground; 0 = the most likely type, or
+        one that the class does not have: another class may have it later.
         """
         (n, m), n_bodies = body.shape, len(self._tables.class_name)
         by_term = np.vecdot(grid.by_term, likelihood.astype(np.float32))
@@ -218,8 +238,9 @@ class CuboidSizes:
         log_likelihood = np.log(np.maximum(evidence, 1e-300)).reshape(n, m) - log_fraction
         log_likelihood[log_fraction < IMPOSSIBLE / 2] = -np.inf
         log_likelihood -= np.maximum.reduce(log_likelihood, axis=1, keepdims=True)
-        result = np.full((n_bodies, n), -np.inf)
-        result[body, np.arange(n)[:, None]] = log_likelihood
+        result = np.zeros((n_bodies, n))
+        is_possible = np.isfinite(log_likelihood)
+        result[body, np.arange(n)[:, None]] = np.where(is_possible, log_likelihood, 0.0)
         return result
 
     def log_evidence(self, boxes: BoxExtents) -> FloatArray:
@@ -255,28 +276,12 @@ def cuboids_in(content: CuboidFile) -> CuboidSizes:
     return CuboidSizes(content.classes, content.ground)
 
 
-def _body_mixture(tables: ShapeTables) -> tuple[IntArray, FloatArray]:
-    """(classes, M) body types that each detected class may show, and the logarithms of their
-    probabilities, possible types first.
+def _possible_bodies(fraction: FloatArray) -> tuple[IntArray, FloatArray]:
+    """(N, M) body types with a probability in (N, B), in their order and before others, and the
+    logarithms of the probabilities.
     """
-    mixtures = []
-    for detected in SIZE_CLASSES:
-        fractions = CLASS_CONFUSION.get(detected, {detected: 1.0})
-        bodies = [
-            (k, fractions[name] * tables.fraction[k])
-            for k, name in enumerate(tables.class_name)
-            if name in fractions
-        ]
-        mixtures.append(bodies)
-    m = max(len(mixture) for mixture in mixtures)
-    body, log_fraction = (
-        np.zeros((len(SIZE_CLASSES), m), np.int64),
-        np.full((len(SIZE_CLASSES), m), IMPOSSIBLE),
-    )
-    for row, mixture in enumerate(mixtures):
-        possible = {k for k, _ in mixture}
-        # in the place of missing types stands another one, which is impossible, too
-        body[row] = next((k for k in range(len(tables.class_name)) if k not in possible), 0)
-        for column, (k, fraction) in enumerate(mixture):
-            body[row, column], log_fraction[row, column] = k, np.log(fraction)
-    return body, log_fraction
+    n_possible = int(np.count_nonzero(fraction, axis=1).max())
+    body = np.argsort(fraction == 0, axis=1, kind="stable")[:, :n_possible]
+    with np.errstate(divide="ignore"):
+        log_fraction = np.log(np.take_along_axis(fraction, body, axis=1))
+    return body, np.maximum(log_fraction, IMPOSSIBLE)

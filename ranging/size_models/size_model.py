@@ -73,13 +73,23 @@ class DriveState:
         # states of these tracks before the frame
         self._in_view: FloatArray = np.zeros((_BODIES, 0))
         self._time_s = 0.0
+        # (N,) classes that they may have instead, and the probabilities of these; () = no doubt
+        self.doubt: tuple[IntArray, FloatArray] | tuple[()] = ()
         # (5,) sums of the normal equations over the objects that left
         self.information: FloatArray = np.zeros(5)
         self.roughness = 1.0  # factor lambda of the variances of pitch and of contact points
 
-    def start_frame(self, track_id: IntArray, time_s: float) -> None:
-        """Start a frame with the tracks (N,) `track_id`, whose boxes are measured next."""
+    def start_frame(
+        self,
+        track_id: IntArray,
+        time_s: float,
+        doubt: tuple[IntArray, FloatArray] | tuple[()] = (),
+    ) -> None:
+        """Start a frame with the tracks (N,) `track_id`, whose boxes are measured next; `doubt` are
+        the classes that they may have instead, and their probabilities.
+        """
         self._track_id, self._time_s = track_id, time_s
+        self.doubt = doubt if doubt and doubt[1].any() else ()
         if self._tracks is None:
             return
         self._in_view = self._tracks.get(track_id)
@@ -111,8 +121,9 @@ class DriveState:
         """Add the measurements of the tracks of the frame with the indices `rows` (N,).
 
         `ground` None = no object is on the ground; `log_likelihood` (B, N) of the body types, 0 =
-        the most likely one; `log_size` (N,) of the heights by this frame alone, with their
-        `variance`. Returns the mean log sizes (N,) over the views of the last seconds.
+        the most likely one, or one that the class does not have; `log_size` (N,) of the heights by
+        this frame alone, with their `variance`. Returns the mean log sizes (N,) over the views of
+        the last seconds.
         """
         if self._tracks is None:
             self._tracks = TrackState(np.zeros(_BODIES + len(log_likelihood)))

@@ -1,5 +1,7 @@
 """SizeRanger as in a run: cut boxes, noise, classes and sigma."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -55,6 +57,30 @@ def test_object_of_known_height_by_hand():
     ranges = ranger.measure(tracks_of([300, 200, 360, 250]), FRAME)
     assert ranges.distance_m == pytest.approx([30.0])
     assert ranges.sigma_m == pytest.approx([3.0])
+
+
+def test_sigma_covers_both_classes_of_a_track_in_doubt():
+    """A box of a car that may be a bus, with a probability of 0 to 1."""
+    box, bus = [300.0, 200.0, 372.0, 250.0], ROAD_CLASSES.index("bus")
+
+    def range_of(class_id, other=None, probability=0.0):
+        tracks = tracks_of(box, class_id=class_id)
+        if other is not None:
+            doubt = {"other_class_id": np.array([other])}
+            tracks = replace(tracks, **doubt, other_probability=np.array([probability]))
+        ranges = SizeRanger(CAMERA).measure(tracks, FRAME)
+        return float(ranges.distance_m[0]), float(ranges.sigma_m[0])
+
+    (car_m, car_sigma_m), (bus_m, bus_sigma_m) = range_of(CAR), range_of(bus)
+    assert bus_m - car_m > 3 * car_sigma_m
+    assert range_of(CAR, bus, 0.0) == (car_m, car_sigma_m)
+    assert range_of(CAR, bus, 1.0)[0] == pytest.approx(bus_m, rel=0.01)
+    mixed_m, mixed_sigma_m = range_of(CAR, bus, 0.5)
+    assert car_m < mixed_m < bus_m
+    assert mixed_m - mixed_sigma_m < car_m + car_sigma_m
+    assert mixed_m + 2 * mixed_sigma_m > bus_m - bus_sigma_m  # the shape is rather a car's
+    # the same whichever of both is the class, but for what the sigma of a class is calibrated by
+    assert range_of(bus, CAR, 0.5) == pytest.approx((mixed_m, mixed_sigma_m), rel=0.1)
 
 
 def test_box_noise_widens_sigma_and_is_independent():

@@ -24,7 +24,7 @@ MOST_STATEMENTS = {
     # both lines of a lane fitted at once (14), and the fixed pixels counted once (4)
     "detection": 8_359,
     # riders whose name changes (17)
-    # a similarity by sums, given up early (21)
+    # a similarity by sums, given up early (21); the second class of a track in doubt (23)
     "tracking": 1_601,  # frames that could not show small objects (4)
     # packed assignments became a line for each value (50); the alignment below rigs (10); what a
     # pair shows and its consequence apart (10); guesses of focal lengths and the ego speed, which
@@ -99,6 +99,7 @@ MOST_STATEMENTS = {
     # fewer array operations: body types and yaws of all boxes, selected by a sort (39), patches and
     # what covers them (34), both roads at once (16), static objects (17), cuboids of other heights
     # (11), the ground and the state of a drive (14), and checks that copy nothing (12)
+    # the sizes of both classes of a track in doubt (6)
     # the states of all filters in one array (9), scales and sums once per evaluation of the cameras
     # (31), and fusion, warnings and the world by columns (70)
     "ranging": 7_546,  # turns as evidence of a given focal length (65), the height by the posterior (17)

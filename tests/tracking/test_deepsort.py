@@ -282,6 +282,25 @@ def test_wrong_first_class_is_outvoted() -> None:
     assert [tracks.class_id.tolist() for tracks in out] == [[TRUCK]] * 4 + [[CAR]] * 3
 
 
+def test_votes_for_another_class_are_a_doubt_that_shrinks() -> None:
+    boxes = [car_at(100, class_id=TRUCK), *[car_at(100)] * 9]
+    out = drive(DeepSortTracker(), boxes)
+    assert [tracks.other_probability.tolist() for tracks in out[:2]] == [[0.0], [0.5]]
+    assert out[0].other_class_id.tolist() == [TRUCK]  # no doubt after the first box
+    # the votes lead by n - 1 of n + 1 boxes: Phi((n - 1) / sqrt(n + 1) sqrt(0.9))
+    leads = [0.5, 0.709, 0.829, 0.898]
+    of_car = [
+        tracks.other_probability[0]
+        if tracks.class_id[0] == TRUCK
+        else 1 - tracks.other_probability[0]
+        for tracks in out[1:]
+    ]
+    assert of_car[:4] == pytest.approx(leads, abs=1e-3)
+    assert of_car == sorted(of_car)
+    assert of_car[-1] == pytest.approx(0.992, abs=1e-3)
+    assert out[-1].other_class_id.tolist() == [TRUCK]
+
+
 def test_classes_that_flicker_change_rarely() -> None:
     rng, n_changes = np.random.default_rng(3), []
     for _ in range(10):
