@@ -25,7 +25,7 @@ MOST_STATEMENTS = {
     "detection": 8_359,
     # riders whose name changes (17)
     # a similarity by sums, given up early (21); the second class of a track in doubt (23)
-    "tracking": 1_601,  # frames that could not show small objects (4)
+    "tracking": 1_623,  # frames that could not show small objects (4)
     # packed assignments became a line for each value (50); the alignment below rigs (10); what a
     # pair shows and its consequence apart (10); guesses of focal lengths and the ego speed, which
     # recordings need (60); values of calibrations that know their file and key, and a module for
@@ -102,7 +102,7 @@ MOST_STATEMENTS = {
     # the sizes of both classes of a track in doubt (6)
     # the states of all filters in one array (9), scales and sums once per evaluation of the cameras
     # (31), and fusion, warnings and the world by columns (70)
-    "ranging": 7_546,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 7_554,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     "api": 106,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
