@@ -138,6 +138,7 @@ MOST_STATEMENTS = {
     # settings check themselves, and a column that is missing is named (5)
     # corners that go on from frame to frame and that are expected somewhere, and the tensor of single
     # corners (60)
+    # lines before the header of a table (10)
     "foundation": 1_855,
     # each stage has a frozen output, and `FrameResult` consists of them (165); the detection and the
     # scale report (9)
@@ -169,7 +170,8 @@ MOST_STATEMENTS = {
     # the mounting in the summary (5)
     # a given speed without satellites is named (3)
     # images near keyframes alone (3)
-    # the clock of the images of a bag, its words and its split files (95)
+    # the clock of the images of a bag, its words and its split files (96)
+    # what logs state of speeds and times: units, starts, signs, orders, dates, several speeds (144)
     "recording": 7_512,
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import first_line
 from track_range.foundation.files.numeric_text import number
 from track_range.recording.recording import Recording
@@ -24,9 +23,14 @@ from track_range.recording.telemetry.found import FoundTelemetry, candidates, na
 from track_range.recording.telemetry.image_evidence import SPAN_S, contradiction, motion_of
 from track_range.recording.telemetry.sidecars.reading import (
     SPEED_TABLE_SUFFIXES,
+    kind_of,
     sidecar_suffixes,
 )
-from track_range.recording.telemetry.sidecars.speed_csv import has_positions, is_telemetry_csv
+from track_range.recording.telemetry.sidecars.speed_csv import (
+    has_positions,
+    is_telemetry_header,
+    log_table,
+)
 from track_range.recording.telemetry.speed_files import EgoSpeedError, open_ego_speed
 from track_range.recording.telemetry.time_offset import MotionSeries, TimeOffset, estimated_offset
 from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
@@ -186,6 +190,8 @@ def _is_table(path: Path) -> bool:
         and path.suffix.lower() not in SPEED_TABLE_SUFFIXES
     ):
         return False
+    if kind_of(path):
+        return False
     is_csv = path.suffix.lower() in (".csv", ".tsv")
     try:
         cells = re.split("[,;\t]", first_line(path, EgoSpeedError, "CSV"))
@@ -196,8 +202,8 @@ def _is_table(path: Path) -> bool:
     )
     if not is_csv:
         return is_named
-    table = read_csv_table(path, EgoSpeedError, "columns of times and speeds")
-    return not has_positions(table) if is_named else not is_telemetry_csv(table)
+    table = log_table(path, EgoSpeedError)
+    return not has_positions(table) if is_named else not is_telemetry_header(table.header)
 
 
 def _table_beside(part: VideoPart) -> SpeedSource:

@@ -2,7 +2,7 @@
 
 import csv
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +12,8 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text
 from track_range.foundation.files.numeric_text import number
 
+# lines in which the header is looked for, and characters of each that are read
+_MAX_PREAMBLE, _MAX_HEADER = 200, 10_000
 _DECIMAL_COMMA = re.compile(r"([+-]?\d{1,20}),(\d{1,20}(?:[eE][+-]?\d{1,3})?)")
 
 
@@ -29,6 +31,7 @@ class CsvTable:
     lines: list[int]
     error: type[Exception]
     expected: str
+    preamble: tuple[str, ...] = ()  # lines before the header
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -92,42 +95,55 @@ def read_csv_table(
     *,
     default_header: Sequence[str] = (),
     exact: bool = False,
+    is_header: Callable[[Sequence[str]], bool] | None = None,
 ) -> CsvTable:
     """Read a CSV file in UTF-8 with a header line; `expected` is the expected content, such as
     "columns time_s".
 
     Columns may be separated by semicolons or tabs instead of commas; then decimals may have a
     comma. `default_header` names the columns of a file whose first line has no column names. Rows
-    with missing cells, or one separator at the end, are allowed unless `exact`. Raises `error` if
+    with missing cells, or one separator at the end, are allowed unless `exact`. `is_header`: whether
+    cells in lower case are the header, of files that may have lines before it. Raises `error` if
     the file is unreadable, empty or not CSV, a row has too many cells, or a column has no name.
     """
     text = read_text(path, error, "CSV", max_bytes=MAX_TABLE_BYTES)
-    separator = _separator(text)
-    reader = csv.reader(text.split("\n"), strict=True, delimiter=separator)
+    lines = text.split("\n")
+    n_before = 0 if is_header is None else line_of_header(lines, is_header) or 0
+    separator = _separator("\n".join(lines[n_before:]))
+    reader = csv.reader(lines[n_before:], strict=True, delimiter=separator)
     try:
         numbered = [
-            (reader.line_num, [cell.strip() for cell in row])
+            (n_before + reader.line_num, [cell.strip() for cell in row])
             for row in reader
             if any(map(str.strip, row))
         ]
     except csv.Error as reason:
         raise error(
-            f"{path}, line {reader.line_num}: expected {expected} as CSV; check the quotation "
+            f"{path}, line {n_before + reader.line_num}: expected {expected} as CSV; check the quotation "
             f"marks ({reason})."
         ) from reason
     if not numbered:
         raise error(f"{path}: the file is empty; expected {expected}.")
-    lines, rows = [line for line, _ in numbered], [row for _, row in numbered]
-    header = tuple(cell.lower() for cell in rows[0])
+    preamble = tuple(lines[:n_before])
+    places, rows = [line for line, _ in numbered], [row for _, row in numbered]
+    header = tuple(cell.lower().lstrip("# ") for cell in rows[0])
     if separator != ",":
         rows = [[_with_decimal_point(cell) for cell in row] for row in rows]
     if default_header and not set(header) & set(default_header):
         header = tuple(default_header[: len(rows[0])])
     else:
-        rows, lines = rows[1:], lines[1:]
-    table = CsvTable(path, header, rows, lines, error, expected)
+        rows, places = rows[1:], places[1:]
+    table = CsvTable(path, header, rows, places, error, expected, preamble)
     _complete(table, exact=exact)
     return table
+
+
+def line_of_header(lines: Sequence[str], is_header: Callable[[Sequence[str]], bool]) -> int | None:
+    """Index of the first line that is a header, comments last; None = none near the start."""
+    starts = [line[:_MAX_HEADER].strip("# ") for line in lines[:_MAX_PREAMBLE]]
+    rows = [next(csv.reader([line.lower()], delimiter=_separator(line)), []) for line in starts]
+    headers = [i for i, row in enumerate(rows) if is_header([cell.strip() for cell in row])]
+    return min(headers, key=lambda index: (lines[index].startswith("#"), index), default=None)
 
 
 def _with_decimal_point(cell: str) -> str:

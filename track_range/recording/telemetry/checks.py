@@ -48,17 +48,20 @@ _MIN_COMPARED, _UNIT_TOLERANCE, _MAX_DEVIATION = 10, 0.05, 0.12
 unit, and the largest difference of a vehicle's own speed, as of a speedometer, which becomes less
 certain. Units differ by 13 %."""
 
+_NO_SPEED = -99.0  # in any unit; no vehicle reverses so fast
 # largest median relative deviation of single steps where the positions decide on the unit
 _MAX_SCATTER = 0.3
 
 
 def usable(track: TelemetryTrack) -> TelemetryTrack:
-    """The track in the order of time, without wild samples, which become NaN.
+    """The track in the order of time, without wild samples and speeds that mark a missing fix,
+    which become NaN.
 
     A clock that is set when the receiver gets its first fix does not matter if the fix then lasts
     (`MIN_STABLE_S`). Raises TelemetryError for no fix, wild positions or speeds, or a clock that
     jumps.
     """
+    track = _without_marks(track)
     if not len(track) or not np.isfinite(track.speed_mps).any():
         raise TelemetryError("the receiver had no fix.")
     try:
@@ -76,6 +79,24 @@ def usable(track: TelemetryTrack) -> TelemetryTrack:
     _check_positions(track)
     track = with_unit(track)
     return _without_wild_speeds(track)
+
+
+def _without_marks(track: TelemetryTrack) -> TelemetryTrack:
+    """The track with NaN for negative speeds that mark a missing one: -1, as in iOS, if the only
+    negative speed, and numbers at which no vehicle reverses.
+    """
+    stated = track.speed_mps / MPS_PER_UNIT[track.unit or "m/s"]
+    is_mark = stated <= _NO_SPEED
+    if np.allclose(stated[(stated < 0) & ~is_mark], -1.0):
+        is_mark |= stated < 0
+    if not is_mark.any():
+        return track
+    note = (
+        f"its {int(is_mark.sum())} speeds of {float(stated[is_mark][0]):g} mark a missing speed and "
+        "are not used."
+    )
+    speed_mps = np.where(is_mark, np.nan, track.speed_mps)
+    return replace(track, speed_mps=speed_mps, notes=(*track.notes, note))
 
 
 def _check_clock(track: TelemetryTrack) -> None:
@@ -172,14 +193,14 @@ def with_unit(track: TelemetryTrack) -> TelemetryTrack:
     )
     ratio = speed_ratio(positions, track.time_s, track.speed_mps, _MIN_COMPARED)
     if positions is None or math.isnan(ratio.median):
-        if track.unit is not None or not (track.speed_mps > MOVING_MPS).any():
+        if track.unit is not None or not (np.abs(track.speed_mps) > MOVING_MPS).any():
             return track
         note = (
             f"its speeds have no unit and are taken as m/s, since only {ratio.n_moving} positions "
             "of a moving car are known, too few to find the unit."
         )
         return replace(track, notes=(*track.notes, note))
-    stated_mps = float(np.nanmedian(track.speed_mps))
+    stated_mps = float(np.nanmedian(np.abs(track.speed_mps)))
     if abs(ratio.median - 1) <= _UNIT_TOLERANCE:
         return track
     if abs(ratio.median - 1) <= _MAX_DEVIATION and track.unit is not None:
@@ -211,7 +232,7 @@ def _without_wild_speeds(track: TelemetryTrack) -> TelemetryTrack:
     """
     speed_mps = track.speed_mps
     known = np.isfinite(speed_mps)
-    is_wild = known & ((speed_mps > MAX_SPEED_MPS) | (speed_mps < 0))
+    is_wild = known & (np.abs(speed_mps) > MAX_SPEED_MPS)
     if is_wild.sum() > _MAX_FRACTION * known.sum():
         raise TelemetryError(
             f"expected speeds of at most {MAX_SPEED_MPS * 3.6:.0f} km/h, found "

@@ -88,10 +88,13 @@ def named_telemetry(path: Path, parts: Sequence[VideoPart]) -> FoundTelemetry:
     whole_s = max(part.start_s + part.duration_s for part in parts) if first.duration_s else 0.0
     recording = replace(first, duration_s=whole_s)
     is_sidecar = path.suffix.lower() in sidecar_suffixes()
-    track = read_sidecar(path, first.path.name, whole_s) if is_sidecar else _in_video(path)
+    kind = kind_of(path)
+    track = None
+    if not is_sidecar or not kind:
+        track = read_sidecar(path, first.path.name, whole_s) if is_sidecar else _in_video(path)
     if track is None:
         raise TelemetryError(
-            f"{path}: expected speeds or positions with times, found {kind_of(path) or 'none'}."
+            f"{path}: expected speeds or positions with times, found {kind or 'none'}."
         )
     track, sigma_s = _checked(track, path, recording)
     check_covered(track.time_s, whole_s, str(path))

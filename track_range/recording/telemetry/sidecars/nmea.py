@@ -6,7 +6,7 @@ Files without RMC are read from GGA (time of the day, position), VTG (speed, cou
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from functools import reduce
 from operator import xor
@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.files.input_files import read_text
 from track_range.foundation.files.numeric_text import plain_number
 from track_range.recording.telemetry.sidecars.sidecar import Sidecar, of_file
-from track_range.recording.telemetry.sidecars.time_texts import unwrapped
+from track_range.recording.telemetry.sidecars.time_texts import DAY_S, unwrapped
 from track_range.recording.telemetry.tracks.positions import MPS_PER_UNIT
 from track_range.recording.telemetry.tracks.samples import Sample, plain_track, track
 from track_range.recording.telemetry.tracks.track import (
@@ -63,35 +64,59 @@ def _without_rmc(lines: Iterable[str], path: Path) -> TelemetryTrack | None:
     if not any(match[1] == "GGA" for match in sentences):
         return None
     pynmea2 = optional_package("pynmea2", str(path))
-    samples: list[Sample] = []
-    day_s = 0.0
+    kinds: list[str] = []
+    rows: list[tuple[float, float, float]] = []
     for match in sentences:
         try:
-            message = pynmea2.parse(match.group().partition("*")[0])
-            if match[1] == "GGA" and message.timestamp:
-                t = message.timestamp
-                clock_s = 3600 * t.hour + 60 * t.minute + t.second + t.microsecond / 1e6
-                has_fix = message.gps_qual and message.lat and message.lon
-                lat, lon = (
-                    (float(message.latitude), float(message.longitude))
-                    if has_fix
-                    else (math.nan, math.nan)
-                )
-                samples.append(Sample(clock_s, clock_s, math.nan, math.nan, lat, lon))
-            elif match[1] == "VTG" and samples:
-                speed_mps = float(message.spd_over_grnd_kmph) * MPS_PER_UNIT["km/h"]
-                course_deg = plain_number(message.true_track)
-                samples[-1] = samples[-1]._replace(speed_mps=speed_mps, course_deg=course_deg)
-            elif match[1] == "ZDA":
-                day_s = datetime(message.year, message.month, message.day, tzinfo=UTC).timestamp()
+            rows.append(_values(match[1], pynmea2.parse(match.group().partition("*")[0])))
+            kinds.append(match[1])
         except (ValueError, OverflowError, AttributeError, LookupError, TypeError):
             continue
-    if not samples:
+    kind = np.array(kinds)
+    if "GGA" not in kinds:
         return None
-    rows = np.array(samples)
-    rows[:, 0] = rows[:, 1] = unwrapped(rows[:, 0]) + day_s
-    has_speed = bool(np.isfinite(rows[:, 2]).any())
-    return track([Sample(*row) for row in rows.tolist()], path.name, "utc", has_own_speed=has_speed)
+    clock_s, first, second = np.array(rows).T
+    clock_s = unwrapped(clock_s)
+    dated = np.flatnonzero(kind == "ZDA")
+    day_s = first[dated[0]] - clock_s[dated[0]] // DAY_S * DAY_S if len(dated) else 0.0
+    is_speed, is_fix = kind == "VTG", kind == "GGA"
+    moments_s = _moments_s(clock_s, is_speed, kinds).tolist()
+    speeds = zip(first[is_speed].tolist(), second[is_speed].tolist(), strict=True)
+    speed_at = dict(zip(moments_s, speeds, strict=True))
+    samples = [
+        Sample(time_s + day_s, time_s + day_s, *speed_at.get(time_s, (math.nan, math.nan)), *place)
+        for time_s, *place in np.column_stack([clock_s, first, second])[is_fix].tolist()
+    ]
+    has_speed = any(math.isfinite(sample.speed_mps) for sample in samples)
+    return track(samples, path.name, "utc", has_own_speed=has_speed)
+
+
+def _values(kind: str, message: Any) -> tuple[float, float, float]:
+    """Time of the day, s, with latitude and longitude of a GGA, or the date of a ZDA, s since 1970;
+    speed in m/s and course of a VTG.
+    """
+    if kind == "VTG":
+        speed_mps = float(message.spd_over_grnd_kmph) * MPS_PER_UNIT["km/h"]
+        return math.nan, speed_mps, plain_number(message.true_track)
+    t = message.timestamp
+    clock_s = 3600 * t.hour + 60 * t.minute + t.second + t.microsecond / 1e6
+    if kind == "ZDA":
+        day = datetime(message.year, message.month, message.day, tzinfo=UTC)
+        return clock_s, day.timestamp(), math.nan
+    if message.gps_qual and message.lat and message.lon:
+        return clock_s, float(message.latitude), float(message.longitude)
+    return clock_s, math.nan, math.nan
+
+
+def _moments_s(clock_s: FloatArray, is_speed: BoolArray, kinds: Sequence[str]) -> FloatArray:
+    """Times of the speeds, which state none: of the sentence before each, or of that after it if
+    bursts begin with the speed, as the file does.
+    """
+    is_timed = np.isfinite(clock_s)
+    times_s = np.concatenate([[-np.inf], clock_s[is_timed], [np.inf]])
+    n_before = np.cumsum(is_timed)[is_speed]
+    is_first = kinds[0] == "VTG" and kinds[-1] != "VTG"
+    return np.asarray(times_s[n_before + int(is_first)])
 
 
 def has_rmc(content: bytes) -> bool:

@@ -6,8 +6,11 @@ A format is a module with a `Sidecar` and a row of `SIDECARS`, or an entry point
 """
 
 import re
+from contextlib import suppress
 from pathlib import Path
 
+from track_range.foundation.errors import UserError
+from track_range.foundation.files.input_files import first_line
 from track_range.foundation.registry import Registry
 from track_range.recording.telemetry.sidecars.sidecar import Sidecar
 from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
@@ -28,6 +31,7 @@ SIDECARS = Registry(
         "fit": "track_range.recording.telemetry.sidecars.fit:FIT",
         "70mai": "track_range.recording.telemetry.sidecars.seventymai:SEVENTYMAI",
         "nmea-text": "track_range.recording.telemetry.sidecars.nmea:NMEA_TEXT",
+        "text-log": "track_range.recording.telemetry.sidecars.speed_csv:TEXT_LOG",
     },
     Sidecar,
     error=TelemetryError,
@@ -73,7 +77,7 @@ def read_sidecar(path: Path, video: str, duration_s: float) -> TelemetryTrack | 
     return next((track for _, track in tracks if track is not None), None)
 
 
-_KINDS = (  # files without telemetry that can be read: pattern of the name, and what it is
+_KINDS = (  # files without telemetry that can be read: pattern of name or first line, what it is
     (
         re.compile(r"event\.json$", re.IGNORECASE),
         "Tesla's event.json, which states one position and no speed; videos from 2025 on contain "
@@ -84,8 +88,16 @@ _KINDS = (  # files without telemetry that can be read: pattern of the name, and
         "a log of openpilot; give the folder processed_log of comma2k19, or its speeds as CSV",
     ),
     (
-        re.compile(r"\.(mf4|mdf|blf|asc|dbc)$", re.IGNORECASE),
+        re.compile(
+            r"\.(mf4|mdf|blf|asc|dbc|trc)$|^\(\d+\.\d+\) +\w+ +[\dA-F]+#|^;\$FILEVERSION",
+            re.IGNORECASE,
+        ),
         "a log of a CAN bus; export the speed as CSV with its unit in the heading",
+    ),
+    (
+        re.compile(r"^%DataLog%"),
+        "a log of Haltech, whose channels have no header; export it as CSV with the speed and its "
+        "unit in the heading",
     ),
     (
         re.compile(r"\.(ubx|rtcm3?|sbf)$", re.IGNORECASE),
@@ -107,4 +119,7 @@ def kind_of(path: Path) -> str:
     """Probable kind of a file that is not read, and advice, for a message after "found"; empty =
     unknown.
     """
-    return next((kind for pattern, kind in _KINDS if pattern.search(path.name)), "")
+    texts = [path.name]
+    with suppress(UserError, OSError):  # no text
+        texts.append(first_line(path, TelemetryError, "a log"))
+    return next((kind for p, kind in _KINDS if any(map(p.search, texts))), "")

@@ -2,8 +2,8 @@
 
 The columns are found by their names. Components of the velocity are combined. Among several speeds
 or units, the file's positions decide; without positions, a speed needs a unit in its heading
-(`speed_kmh`, `Speed (m/s)`, `speed [kn]`), and the car's own instruments come before its GPS
-receiver.
+(`speed_kmh`, `Speed (m/s)`, `speed [kn]`), in a row below it or in the lines before it, and the
+car's own instruments come before its GPS receiver. Speeds are negative backwards.
 """
 
 import math
@@ -17,9 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
-from track_range.foundation.files.input_files import shortened
-from track_range.foundation.files.numeric_text import numbers
+from track_range.foundation.errors import UserError
+from track_range.foundation.files.csv_tables import CsvTable, line_of_header, read_csv_table
+from track_range.foundation.files.input_files import read_text, shortened
+from track_range.foundation.files.numeric_text import number, numbers
 from track_range.recording.telemetry.sidecars.sidecar import Sidecar, of_file
 from track_range.recording.telemetry.sidecars.time_texts import DAY_S, times_of_texts
 from track_range.recording.telemetry.tracks.positions import (
@@ -29,7 +30,12 @@ from track_range.recording.telemetry.tracks.positions import (
     unit_of_ratio,
 )
 from track_range.recording.telemetry.tracks.samples import plain_track, unit_in
-from track_range.recording.telemetry.tracks.track import Clock, TelemetryError, TelemetryTrack
+from track_range.recording.telemetry.tracks.track import (
+    MAX_SIDECAR_BYTES,
+    Clock,
+    TelemetryError,
+    TelemetryTrack,
+)
 
 _SPEED = re.compile(r"speed|velocity|(?<![a-z])v(?:el)?_(?:mps|kmh)")
 _NOT_SPEED = re.compile(
@@ -45,7 +51,8 @@ _LATITUDE = re.compile(r"(?<![a-z])lat(?:itude)?(?![a-z])")
 _LONGITUDE = re.compile(r"(?<![a-z])(?:lon|lng|longt?)(?:gitude|itude)?(?![a-z])")
 _COURSE = re.compile(r"(?<![a-z])(?:course|heading|bearing|track)(?![a-z])")
 _VIDEO_TIME = re.compile(
-    r"^(?:time_s|t|seconds?|elapsed.*|video_?time.*|cts|time ?\(?\[?s\)?\]?|offset.*)$"
+    r"^(?:time_s|t|(?:m|u|milli|micro|nano)?sec(?:ond)?s?|[mu]s|millis|micros|seconds?[ _(].*|"
+    r"elapsed.*|video_?time.*|cts|time ?\(?\[?s\)?\]?|offset.*)$"
 )
 _CLOCK_TIME = re.compile(
     r"(?:^|[^a-z])(?:utc|date|time|timestamp|datetime|epoch|gpstime)(?:$|[^a-z])"
@@ -64,10 +71,29 @@ _UNIT_OF_NAME = re.compile(r"[(\[].*$|_(?:mps|kmh|kph|mph|kn)$")
 # unknown and small.
 _HORIZONTAL = (("north", "east"), ("x", "y", "z"), ("x", "y"), ("forward", "left"), ("forward",))
 
-# smallest value, seconds per unit
-_EPOCH_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3), (1e8, 1.0))
+_TIME_UNITS = tuple(  # in headings, s
+    (re.compile(rf"(?<![a-z])(?:{notation})(?![a-z])"), scale)
+    for notation, scale in (
+        (r"ns|n(?:ano)?sec(?:ond)?s?", 1e-9),
+        (r"[uµμ]s|(?:u|micro)sec(?:ond)?s?|micros", 1e-6),
+        (r"cts|ms|m(?:illi)?sec(?:ond)?s?|millis", 1e-3),
+        (r"s|sec(?:ond)?s?", 1.0),
+        (r"min(?:ute)?s?", 60.0),
+    )
+)
+# seconds since 1970 from 1973 to 2286; of numbers without a unit: smallest value, seconds per unit
+_FIRST_EPOCH_S, _LAST_EPOCH_S = 1e8, 1e10
+_EPOCH_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3), (_FIRST_EPOCH_S, 1.0))
 # smallest median step of times since the start, alike
-_STEP_UNITS = ((1e7, 1e-9), (1e4, 1e-6), (10.0, 1e-3))
+_STEP_UNITS = (
+    (1e7, "nanoseconds", 1e-9),
+    (1e4, "microseconds", 1e-6),
+    (10.0, "milliseconds", 1e-3),
+)
+# lines before the header that state the unit of speeds, and the start of a log
+_UNIT_LINE = re.compile(r"speed|velocity|unit", re.IGNORECASE)
+_START = re.compile(r"\bstart[^=:,;\d]{0,20}[=:,;](.{6,60})", re.IGNORECASE)
+_MAX_UNIT_ROWS = 3  # below the header: units, sources of the columns
 # difference to speeds from positions, and moving samples, that show a unit
 _UNIT_TOLERANCE, _MIN_MOVING = 0.05, 10
 _MAX_VALUE = 1e4  # of speeds in any unit
@@ -80,42 +106,67 @@ class _Speeds(NamedTuple):
     name: str  # of the columns, for notes
     rank: int  # preferred are small ones
     unit: str | None  # in the heading
-    values: FloatArray  # (N,) >= 0
+    values: FloatArray  # (N,) negative = backwards
 
 
-def is_telemetry_csv(table: CsvTable) -> bool:
-    """Whether a table has a column of speeds or positions, and of times."""
-    table = _wide(table)
+def is_telemetry_header(header: Sequence[str]) -> bool:
+    """Whether a table has a column of times, and another one of speeds or positions."""
+    time = _time_column(header)
+    others = [name for name in header if name != time]
     has_speed = (
-        _columns(table, _SPEED, _NOT_SPEED) or _components(table) or _columns(table, _LATITUDE)
+        _columns(others, _SPEED, _NOT_SPEED) or _components(others) or _columns(others, _LATITUDE)
     )
-    return bool(has_speed) and _time_column(table) is not None
+    return bool(has_speed) and time is not None
 
 
 def has_positions(table: CsvTable) -> bool:
     """Whether a table has columns of positions."""
-    return bool(_columns(table, _LATITUDE) and _columns(table, _LONGITUDE))
+    return bool(_columns(table.header, _LATITUDE) and _columns(table.header, _LONGITUDE))
+
+
+def log_table(path: Path, error: type[UserError] = TelemetryError) -> CsvTable:
+    """The table of a log, whose headings have the units of the rows below them; raises `error`."""
+    expected = "columns of times and speeds"
+    table = _wide(read_csv_table(path, error, expected, is_header=is_telemetry_header))
+    header, n_rows = list(table.header), 0
+    time = _time_column(header)
+    while n_rows < min(_MAX_UNIT_ROWS, len(table)) and time is not None:
+        row = table.rows[n_rows]
+        has_time = re.search(r"\d", row[header.index(time)])
+        if has_time or any(math.isfinite(number(cell)) for cell in row):
+            break
+        header = [
+            f"{name} ({cell.lower()})" if cell else name
+            for name, cell in zip(header, row, strict=False)
+        ]
+        n_rows += 1
+        time = _time_column(header)
+    return replace(
+        table, header=tuple(header), rows=table.rows[n_rows:], lines=table.lines[n_rows:]
+    )
+
+
+def read_text_log(path: Path) -> TelemetryTrack | None:
+    """See `read_csv`; None for a text whose first lines have no header of telemetry."""
+    text = read_text(path, TelemetryError, "a log", max_bytes=MAX_SIDECAR_BYTES)
+    if line_of_header(text.split("\n"), is_telemetry_header) is None:
+        return None
+    return read_csv(path)
 
 
 def read_csv(path: Path) -> TelemetryTrack | None:
     """Telemetry of a CSV file; None = no such columns. Raises TelemetryError without readable times
     or unit.
     """
-    table = _wide(read_csv_table(path, TelemetryError, "columns of times and speeds"))
-    if not is_telemetry_csv(table) or not len(table):
+    table = log_table(path)
+    if not is_telemetry_header(table.header) or not len(table):
         return None
-    time_s, clock = _times(table)
-    lat, lon = _columns(table, _LATITUDE), _columns(table, _LONGITUDE)
+    time_s, clock, time_notes = _times(table)
+    lat, lon = _columns(table.header, _LATITUDE), _columns(table.header, _LONGITUDE)
     names = (lat[0], lon[0]) if lat and lon else ("", "")
     latitude_deg, longitude_deg = (
         table.numbers(name) if name else np.full(len(table), np.nan) for name in names
     )
-    known = np.flatnonzero(np.isfinite(time_s))
-    if not len(known):
-        raise TelemetryError(
-            f"{path}: expected times in the column {shortened(repr(_time_column(table)))}, found "
-            "none."
-        )
     utc_s = time_s if clock != "video" else np.full(len(time_s), np.nan)
     positions = speed_from_positions(
         time_s, latitude_deg, longitude_deg, utc_s, source=path.name, clock=clock
@@ -123,8 +174,8 @@ def read_csv(path: Path) -> TelemetryTrack | None:
     speeds = _speeds(table)
     if not speeds:
         if positions is not None:
-            return positions
-        components = " and ".join(repr(name) for name in _components(table))
+            return replace(positions, notes=(*positions.notes, *time_notes))
+        components = " and ".join(repr(name) for name in _components(table.header))
         present = (
             f"only the component {components} of the velocity; add the rest"
             if components
@@ -134,13 +185,12 @@ def read_csv(path: Path) -> TelemetryTrack | None:
             f"{path}: expected speeds, or at least two positions, found {shortened(present, 120)}."
         )
     chosen, unit, note = _chosen(path, speeds, positions, time_s)
-    course = _columns(table, _COURSE)
+    course = _columns(table.header, _COURSE)
     course_deg = table.numbers(course[0]) if course else np.full(len(table), np.nan)
     speed_mps = chosen.values * MPS_PER_UNIT[unit]
-    samples = np.column_stack([time_s, utc_s, speed_mps, course_deg, latitude_deg, longitude_deg])[
-        known
-    ]
-    return plain_track(samples, path.name, clock, notes=(note,), unit=unit)
+    samples = np.column_stack([time_s, utc_s, speed_mps, course_deg, latitude_deg, longitude_deg])
+    samples = samples[np.isfinite(time_s)]
+    return plain_track(samples, path.name, clock, notes=(note, *time_notes), unit=unit)
 
 
 def _chosen(
@@ -204,7 +254,9 @@ def _check_rivals(path: Path, column: _Speeds, unit: str, stated: Sequence[_Spee
 
 def _differ(first: _Speeds, second: _Speeds) -> bool:
     """Whether two columns of speeds with units differ by more than 10 % in the median."""
-    a, b = (column.values * MPS_PER_UNIT[column.unit or "m/s"] for column in (first, second))
+    a, b = (
+        np.abs(column.values) * MPS_PER_UNIT[column.unit or "m/s"] for column in (first, second)
+    )
     known = np.isfinite(a) & np.isfinite(b)
     return (
         bool(known.any())
@@ -214,28 +266,32 @@ def _differ(first: _Speeds, second: _Speeds) -> bool:
 
 def _speeds(table: CsvTable) -> list[_Speeds]:
     """Speeds of a table, in the order of preference."""
-    components = _components(table)
+    components = _components(table.header)
+    stated = {unit_in(line) for line in table.preamble if _UNIT_LINE.search(line)} - {None}
+    usual = stated.pop() if len(stated) == 1 else None  # of headings without a unit
     groups: dict[tuple[str, str | None], dict[str, str]] = defaultdict(dict)
     for name, (stem, axis) in components.items():
-        groups[stem, unit_in(name)].setdefault(axis, name)
+        groups[stem, unit_in(name) or usual].setdefault(axis, name)
     speeds = [
-        _Speeds(name, _rank(name), unit_in(name), np.abs(_numbers(table, name)))
-        for name in _columns(table, _SPEED, _NOT_SPEED)
+        _Speeds(name, _rank(name), unit_in(name) or usual, _numbers(table, name))
+        for name in _columns(table.header, _SPEED, _NOT_SPEED)
         if name not in components
     ]
     for (_, unit), by_axis in groups.items():
         axes = next((axes for axes in _HORIZONTAL if set(axes) <= set(by_axis)), ())
         if axes:
             names = [by_axis[axis] for axis in axes]
-            length = np.linalg.norm([_numbers(table, name) for name in names], axis=0)
+            parts = [_numbers(table, name) for name in names]
+            length = np.linalg.norm(parts, axis=0)
+            length = np.copysign(length, parts[0]) if axes[0] == "forward" else length
             speeds.append(_Speeds(" and ".join(names), min(_rank(names[0]), 1), unit, length))
     return sorted(speeds, key=lambda speeds: (speeds.rank, speeds.unit is None))
 
 
-def _components(table: CsvTable) -> dict[str, tuple[str, str]]:
+def _components(header: Sequence[str]) -> dict[str, tuple[str, str]]:
     """Headings of components of the velocity, with the rest of the name and the axis."""
     components: dict[str, tuple[str, str]] = {}
-    for heading in dict.fromkeys(table.header):
+    for heading in dict.fromkeys(header):
         name = _UNIT_OF_NAME.sub("", heading[:100]).strip()
         axis = _AXIS.search(name.replace("_", " "))
         if (
@@ -282,52 +338,68 @@ def _wide(table: CsvTable) -> CsvTable:
 
 
 def _columns(
-    table: CsvTable, name: re.Pattern[str], excluded: re.Pattern[str] | None = None
+    header: Sequence[str], name: re.Pattern[str], excluded: re.Pattern[str] | None = None
 ) -> list[str]:
     """Headings that match; headings of repeated columns appear only once."""
     return [
         heading
-        for heading in dict.fromkeys(table.header)
+        for heading in dict.fromkeys(header)
         if name.search(heading[:100]) and not (excluded and excluded.search(heading[:100]))
     ]
 
 
-def _time_column(table: CsvTable) -> str | None:
+def _time_column(header: Sequence[str]) -> str | None:
     """The heading of the times: a date and time if there is one, else seconds of the video."""
-    clocks = _columns(table, _CLOCK_TIME, _VIDEO_TIME)
-    video = _columns(table, _VIDEO_TIME)
+    clocks = _columns(header, _CLOCK_TIME, _VIDEO_TIME)
+    video = _columns(header, _VIDEO_TIME)
     return next(iter((*[name for name in video if name == "time_s"], *clocks, *video)), None)
 
 
-def _times(table: CsvTable) -> tuple[FloatArray, Clock]:
-    """(N,) times, NaN = unknown, and their clock: numbers, or dates and times."""
-    name = _time_column(table) or ""
+def _times(table: CsvTable) -> tuple[FloatArray, Clock, tuple[str, ...]]:
+    """(N,) times, NaN = unknown, and their clock, of numbers, or dates and times; and notes."""
+    name = _time_column(table.header) or ""
     texts = table.texts(name)
-    dates, times = (_columns(table, pattern) for pattern in (_DATE, _TIME_OF_DAY))
+    dates, times = (_columns(table.header, pattern) for pattern in (_DATE, _TIME_OF_DAY))
     if dates and times and not any(":" in text for text in table.texts(dates[0])):
         texts = [
             " ".join(cells)
             for cells in zip(table.texts(dates[0]), table.texts(times[0]), strict=True)
         ]
     values = np.array(numbers(texts))
+    if np.isfinite(values).sum() <= len(values) / 2:
+        return *times_of_texts(texts, table.path), ()
+    return _times_of_numbers(values, name, table)
+
+
+def _times_of_numbers(
+    values: FloatArray, name: str, table: CsvTable
+) -> tuple[FloatArray, Clock, tuple[str, ...]]:
+    """See `_times`: in the unit of the heading, else by their size; times since the start of a log
+    are on the clock of the start that the lines before the header state, else on that of the video.
+    """
     known = values[np.isfinite(values)]
-    if len(known) <= len(values) / 2:
-        return times_of_texts(texts, table.path)
-    typical, step = (
-        float(np.median(np.abs(known))),
-        float(np.median(np.diff(known))) if len(known) > 1 else 0.0,
-    )
-    for least, scale in _EPOCH_UNITS:
-        if typical > least:
-            return values * scale, "utc"
+    typical, notes = float(np.median(np.abs(known))), tuple[str, ...]()
     if name == "seconds" and 3600 < typical < 2 * DAY_S:  # Car Scanner's, since midnight
-        return values, "local"
-    is_ms = name == "cts" or re.search(r"ms(?![a-z])|milli", name) is not None
-    is_s = re.search(r"(?:^|_)s$|\(s\)|\[s\]|second", name) is not None
-    stated = 1e-3 if is_ms else 1.0 if is_s else None
-    return values * (
-        stated or next((scale for least, scale in _STEP_UNITS if step > least), 1.0)
-    ), "video"
+        return values, "local", notes
+    scale = next((scale for unit, scale in _TIME_UNITS if unit.search(name)), None)
+    # a unit with which the times would be in a distant future is not that of the column
+    if scale is None or typical * scale > _LAST_EPOCH_S:
+        scale = next((scale for least, scale in _EPOCH_UNITS if typical > least), None)
+    if scale is None:
+        step = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
+        units = ((unit, scale) for least, unit, scale in _STEP_UNITS if step > least)
+        unit, scale = next(units, ("", 1.0))
+        notes = (f"the times have no unit; by their steps, they are {unit}.",) if unit else notes
+    time_s = values * scale
+    if typical * scale > _FIRST_EPOCH_S:
+        return time_s, "utc", notes
+    starts = [match[1].strip(' "') for line in table.preamble if (match := _START.search(line))]
+    if not starts:
+        return time_s, "video", notes
+    start_s, clock = times_of_texts(starts[:1], table.path)
+    # whole seconds, as videos state their start
+    return time_s + np.floor(start_s[0]), clock, notes
 
 
 CSV = Sidecar(suffixes=(".csv", ".tsv"), read=of_file(read_csv), priority=-10)
+TEXT_LOG = Sidecar(suffixes=(".txt", ".log"), read=of_file(read_text_log), priority=-40)

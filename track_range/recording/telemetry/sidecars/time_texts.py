@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -12,27 +12,39 @@ from track_range.foundation.files.input_files import quoted
 from track_range.recording.telemetry.tracks.track import Clock, TelemetryError
 
 DAY_S = 86_400.0
-_FORMATS = (  # besides ISO 8601; the first with which most texts can be read
-    "%a %b %d %H:%M:%S %Z%z %Y",  # Torque
-    "%a %b %d %H:%M:%S %Z %Y",
-    "%d-%b-%Y %H:%M:%S.%f",
-    "%d-%b-%Y %H:%M:%S",
-    "%d.%m.%Y %H:%M:%S.%f",
-    "%d.%m.%Y %H:%M:%S",
-    "%Y:%m:%d %H:%M:%S",
-    "%m/%d/%Y %I:%M:%S %p",
-    "%m/%d/%Y %I:%M:%S.%f %p",
-    "%d/%m/%Y %H:%M:%S",
-    "%d/%m/%Y %H:%M:%S.%f",
-    "%m/%d/%Y %H:%M:%S",
-    "%m/%d/%Y %H:%M:%S.%f",
-    "%H:%M:%S.%f",
-    "%H:%M:%S",
-    "%I:%M:%S %p",
-    "%I:%M:%S.%f %p",
+_DATES = (  # notations besides ISO 8601; of several with which all texts can be read, the first
+    *(
+        "%Y-%m-%d",
+        "%d.%m.%Y",
+        "%Y:%m:%d",
+        "%Y.%m.%d",
+        "%Y/%m/%d",
+        "%Y%m%d",
+        "%d-%b-%Y",
+        "%d %b %Y",
+        "%d %B %Y",
+    ),
+    *("%b %d %Y", "%B %d %Y", "%d.%m.%y"),
+    *("%m/%d/%Y", "%d/%m/%Y", "%m-%d-%Y", "%d-%m-%Y"),  # with two digits, the year may be first
 )
-# day and month may be exchanged
-_UNCLEAR = re.compile(r"(0?[1-9]|1[0-2])/(0?[1-9]|1[0-2])/\d{4} [\d:.]+")
+_CLOCKS = ("%H:%M:%S", "%I:%M:%S %p", "%H%M%S", "%H:%M")
+_NOTATIONS = (
+    "%b %d %H:%M:%S %z %Y",  # Torque
+    "%b %d %H:%M:%S %Y",  # of C
+    *(f"{date} {clock}{zone}" for zone in ("", " %z") for clock in _CLOCKS for date in _DATES),
+    *(f"{clock} {date}" for clock in _CLOCKS[:1] for date in _DATES),
+    *_CLOCKS[:2],
+)
+_READ = "31.05.2026, 31 May 2026, 05/31/2026 or 31-05-2026 with 21:30:00 or 9:30:00 PM"
+_FRACTION = re.compile(r"(?<=:\d\d)[.,](\d+)")
+_PLAIN = {  # what no notation has, and what it means; patterns
+    r"\b(?:mon|tue|wed|thu|fri|sat|sun)[a-z]*[,.]?\s": "",
+    r",|(?<=\d)T(?=\d)|(?:GMT|UTC)(?=[+-])": " ",
+    r"\s?(?:GMT|UTC)(?![+-])|(?<=\d)Z$": " +0000",
+    r"\b([ap])\.m\.": r"\1m",
+    r"[年月]": "-",
+    "日": " ",
+}
 _N_TRIED = 50  # number of texts from which the notation is found
 
 
@@ -41,18 +53,22 @@ def times_of_texts(texts: Sequence[str], path: Path) -> tuple[FloatArray, Clock]
     their clock.
 
     The clock is UTC where most texts state a time zone. Raises TelemetryError, which names `path`,
-    for dates whose order of day and month is not clear.
+    if most texts are no times, or their order of day and month is not clear.
     """
     tried = [text for text in texts if text][:_N_TRIED]
-    notation = max(
-        (None, *_FORMATS),
-        key=lambda notation: sum(_moment(text, notation) is not None for text in tried),
-    )
-    if (
-        notation is not None
-        and notation.startswith("%d/%m")
-        and all(_UNCLEAR.fullmatch(text) for text in texts if text)
-    ):
+    n_read = {
+        notation: sum(_moment(text, notation) is not None for text in tried)
+        for notation in (None, *_NOTATIONS)
+    }
+    notation = max(n_read, key=lambda notation: n_read[notation])
+    if not tried or n_read[notation] <= len(tried) / 2:
+        raise TelemetryError(
+            f"{path}: expected dates and times, found {quoted(tried[0] if tried else '')}; write "
+            f"them like 2026-05-31 09:30:00, as seconds since 1970, or like {_READ}."
+        )
+    other = (notation or "").translate(str.maketrans("dm", "md"))
+    # where AM and PM are used, the month is first unless it cannot be
+    if n_read.get(other) == n_read[notation] and other != notation and "%p" not in other:
         raise TelemetryError(
             f"{path}: expected dates with a clear order of day and month, found "
             f"{quoted(tried[0])}; write them like 2026-05-31 09:30:00."
@@ -68,7 +84,7 @@ def times_of_texts(texts: Sequence[str], path: Path) -> tuple[FloatArray, Clock]
             for moment in moments
         ]
     )
-    if notation is not None and "Y" not in notation:
+    if notation in _CLOCKS:
         seconds = unwrapped(seconds - start.timestamp())
     return seconds, "utc" if zoned > len(texts) / 2 else "local"
 
@@ -90,6 +106,11 @@ def _moment(text: str, notation: str | None) -> datetime | None:
     try:
         if notation is None:
             return datetime.fromisoformat(text[:40].replace("/", "-"))
-        return datetime.strptime(text[:60], notation)
+        fraction = _FRACTION.search(text[:60])
+        plain = _FRACTION.sub("", text[:60])
+        for pattern, meaning in _PLAIN.items():
+            plain = re.sub(pattern, meaning, plain, flags=re.IGNORECASE)
+        moment = datetime.strptime(" ".join(plain.split()), notation)
     except (ValueError, OverflowError):
         return None
+    return moment if fraction is None else moment + timedelta(seconds=float(f"0.{fraction[1]}"))

@@ -11,8 +11,9 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.recording.telemetry.tracks.track import Clock, TelemetryTrack
 
 EARTH_RADIUS_M = 6_371_008.8  # mean radius of the Earth in metres (IUGG)
-# a knot is 1852 m per hour
-MPS_PER_UNIT = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600}
+# of speeds whose unit positions show; a knot is 1852 m per hour
+_SHOWN_UNITS = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600, "cm/s": 0.01}
+MPS_PER_UNIT = _SHOWN_UNITS | {"mm/s": 0.001, "ft/s": 0.3048}
 # Time between positions for a speed: at 1 Hz, noise is 0.3 m/s; in 5 s, the chord of a curve of 10
 # deg/s is 3 % short.
 _MIN_STEP_S, _MAX_STEP_S = 0.9, 5.0
@@ -161,5 +162,5 @@ def unit_of_ratio(ratio: float, tolerance: float, stated: str = "m/s") -> str | 
     The ratio may differ by the fraction `tolerance`. Units differ by 13 %.
     """
     ratio *= MPS_PER_UNIT[stated]
-    unit = min(MPS_PER_UNIT, key=lambda name: abs(math.log(MPS_PER_UNIT[name] / ratio)))
+    unit = min(_SHOWN_UNITS, key=lambda name: abs(math.log(_SHOWN_UNITS[name] / ratio)))
     return unit if abs(MPS_PER_UNIT[unit] / ratio - 1) <= tolerance else None

@@ -33,12 +33,24 @@ _PACE_TOLERANCE = 0.1
 # largest difference to the stated speed at which the course from positions is used
 _COURSE_AGREEMENT = 0.3
 
-_UNITS = (  # notations, in the order in which they are looked for
-    ("km/h", re.compile(r"km\s?/?\s?h|kmph|kph|km\s?/\s?hr", re.IGNORECASE)),
-    ("mph", re.compile(r"mph|mi\s?/\s?h|miles", re.IGNORECASE)),
-    ("m/s", re.compile(r"m\s?/\s?s|mps|m\s?s-1|met(?:er|re)s?_?\s?(?:per|/)", re.IGNORECASE)),
-    ("kn", re.compile(r"knots?|(?<![a-z])k[nt]s?(?![a-z])", re.IGNORECASE)),
-)
+# what stands between the words of a unit, and their beginning: no letter, except in speedkmh
+_PER, _HOUR, _SECOND = r"[\s_]*(?:/|per|p)[\s_]*", r"h(?:(?:ou)?rs?)?", r"s(?:ec(?:ond)?s?)?"
+_METERS = r"m(?:et(?:er|re)s?)?"
+_UNITS = {  # notations of each unit, in the order in which they are looked for
+    unit: re.compile(
+        rf"(?:(?<![a-z])|(?<=speed))(?:{notation})(?![a-z/]|\s?(?:²|[-^*]{{0,2}}2))",
+        re.IGNORECASE,
+    )
+    for unit, notation in {
+        "kn": rf"knots?|k[nt]s?|n(?:autical)?[\s_]?m(?:i(?:les?)?)?{_PER}{_HOUR}|nmph",
+        "km/h": rf"k(?:ilo)?{_METERS}{_PER}{_HOUR}|kmhr?|kms{_PER}{_HOUR}|km_h|kph|км{_PER}ч",
+        "mph": rf"mi(?:les?)?{_PER}{_HOUR}|mph",
+        "cm/s": rf"c(?:enti)?{_METERS}{_PER}{_SECOND}|cm_s",
+        "mm/s": rf"m(?:illi)?{_METERS}{_PER}{_SECOND}|mm_s",
+        "ft/s": rf"(?:ft|feet|foot){_PER}{_SECOND}|ft_s",
+        "m/s": rf"{_METERS}{_PER}{_SECOND}|m[\s_.·]?s(?:-1|⁻¹)?",
+    }.items()
+}
 
 
 class Sample(NamedTuple):
@@ -215,4 +227,4 @@ def signed(value: float, hemisphere: str) -> float:
 
 def unit_in(text: str) -> str | None:
     """The unit of speed that a heading or a text names; None if it names none."""
-    return next((unit for unit, notation in _UNITS if notation.search(text)), None)
+    return next((unit for unit, notation in _UNITS.items() if notation.search(text)), None)

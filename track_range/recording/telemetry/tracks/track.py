@@ -40,7 +40,7 @@ class TelemetryTrack:
     """
 
     time_s: FloatArray  # (N,) finite times in seconds, by the clock `clock`
-    speed_mps: FloatArray  # (N,) horizontal speed, >= 0; NaN = no fix
+    speed_mps: FloatArray  # (N,) horizontal speed, negative = backwards; NaN = no fix
     source: str  # origin of the samples, for notes, such as "GoPro GPMF" or "drive.gpx"
     clock: Clock
     # (N,) clockwise from north; NaN = unknown
