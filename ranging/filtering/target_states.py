@@ -167,6 +167,7 @@ class TargetStates:
     ) -> None:
         """Start with these uncorrelated d and v, with a = 0, and without a key frame."""
         new = np.zeros(self.table.shape)
-        new[:, 4] = np.broadcast_arrays(motion.x, motion.v, 0.0, np.nan, self.d)[:4]
+        x = new[:, 4]
+        x[0], x[1], x[2], x[3] = motion.x, motion.v, 0.0, np.nan
         new[0, 0], new[1, 1], new[2, 2] = motion.P_xx, motion.P_vv, acceleration_variance
         np.copyto(self.table, new, where=where)

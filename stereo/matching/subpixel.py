@@ -27,7 +27,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, IntArray
 from track_range.stereo.matching.surfaces import (
     SurfaceFit,
     centre_weights,
@@ -37,18 +37,7 @@ from track_range.stereo.matching.surfaces import (
 from track_range.stereo.matching.tiles import MARGIN_PX, BoxTiles, Grey, window_sums
 
 _N_FIT_ITERATIONS = (2, 3)  # of the surface, for each iteration of the least squares on grey values
-# Rows of products in the sums over windows, and of their factors. The sums are those of
-# `_Equations.values` and of r, r r, g r, r l and h r; the covariances <l, l>, <g, g>, <g, l>,
-# <r, r>, <g, r>, <r, l>, <h, l>, <g, h>, <h, h> and <h, r>.
-_COVARIANCES = np.array(
-    [
-        [2, 3, 4, 10, 11, 12, 6, 7, 8, 13],
-        [0, 1, 1, 9, 1, 9, 5, 1, 5, 5],
-        [0, 1, 0, 9, 9, 0, 0, 5, 5, 9],
-    ]
-)
-# the first six without the sums of h
-_SOME_COVARIANCES = np.array([[2, 3, 4, 6, 7, 8], [0, 1, 1, 5, 1, 5], [0, 1, 0, 5, 5, 0]])
+
 _STEP = 3  # the first iterations use every third column
 _MAX_STEP_PX = 0.75  # largest |s| of a confirmed window, px of the tile
 # smallest gain a, and 1 / a, of a confirmed window: below, the pixels hardly resemble each other
@@ -66,6 +55,20 @@ _VERTICAL_SIGMA_PX = 0.3
 # Lower limit of a window's standard deviation, px of the tile and fraction of its disparity: no
 # object is smooth.
 _FLOOR_PX, _FLOOR_FRACTION = 0.06, 0.01
+
+
+def _rows(sums: str, covariances: str) -> IntArray:
+    """(3, C) row of the product and of both factors of each covariance among the sums, all by their
+    names in `_Equations`: <g, l> has the sums gl, g and l.
+    """
+    names = sums.split()
+    parts = ((product, *product) for product in covariances.split())
+    return np.array([[names.index(name) for name in part] for part in parts]).T
+
+
+# of the last iteration, and of those without the derivative h down the column
+_COVARIANCES = _rows("l g ll gg gl h hl gh hh r rr gr rl hr", "ll gg gl rr gr rl hl gh hh hr")
+_SOME_COVARIANCES = _rows("l g ll gg gl r rr gr rl", "ll gg gl rr gr rl")
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,10 +173,10 @@ class _Equations(NamedTuple):
     """
 
     # (9, W, N, H) left grey values l, less the middle grey, their derivative g along the row, the
-    # products l l, g g and g l; their derivative h down the column, h l, h g and h h
+    # products ll, gg and gl; their derivative h down the column, hl, gh and hh
     values: FloatArray32
     sums: FloatArray  # (9, N, G) their sums over the windows' pixels
-    some_sums: FloatArray  # (5, N, G) sums of l, g, l l, g g and g l of every third column
+    some_sums: FloatArray  # (5, N, G) sums of the first five of every third column
     grey: FloatArray32  # (W', N, H + 8) grey values of both images, less the middle grey
     tiles: BoxTiles
     positions: tuple[FloatArray, FloatArray]  # u (W, N) of the columns and v (N, H) of the rows
@@ -211,6 +214,7 @@ class _Equations(NamedTuple):
         step = 1 if is_last else _STEP
         l, g, _, _, _, h = self.values[:6, ::step]  # noqa: E741
         n = self.tiles.shape.window_px / step
+        # r, rr, gr, rl and hr
         products = np.empty((5 if is_last else 4, *l.shape), np.float32)
         r = self._right_at(surface, products[0], step)
         np.square(r, out=products[1])

@@ -173,6 +173,7 @@ class GroundOdometry:
         self._span_s = 0.0  # of the last measurement
         self._still_s = 0.0  # time for which near points have been in place
         self._last = math.nan, EgoMotion()
+        self._interval_s = DETECTION_INTERVAL_S  # shortest time between frames that are compared
         self.motion = ImageMotion(time_s=math.nan)  # between the last two frames
         self._step: CameraStep | None = None  # to the last frame that was compared
         self.has_horizon = False  # whether the horizon was measured so far
@@ -187,7 +188,8 @@ class GroundOdometry:
         """The road in the last frame, in the camera's axes; lengths are in units of the camera
         height of this instance.
         """
-        return self._horizon.seen(self._travel_from_camera)
+        since_s = self._last[0] - self.motion.time_s  # 0 in a frame that was compared
+        return self._horizon.seen(self._travel_from_camera, since_s)
 
     def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
         """Motion since the previous frame, with boxes (N, 4) of road users; NaN where it is not
@@ -199,6 +201,8 @@ class GroundOdometry:
         check_shape("xyxy_px", xyxy_px, (None, 4))
         if frame.time_s == self._last[0]:
             return self._last[1]
+        # the first estimator that adds a frame says whether its corners are detected
+        self._flow.add(frame.left, xyxy_px, frame.time_s, interval_s=self._interval_s)
         self.motion = motion = self._image_motion.update(frame.left, frame.time_s, xyxy_px)
         if motion.time_s != frame.time_s:  # that of an earlier frame
             return self._between(frame.time_s)
@@ -215,7 +219,7 @@ class GroundOdometry:
         while len(self._past) > 1 and self._past[0].time_s < oldest_s:
             self._past.popleft()
         before_s, self._last = self._last[0], (frame.time_s, ego)
-        self._flow.interval_s = _interval_s(ego.speed_mps, frame.time_s - before_s)
+        self._interval_s = _interval_s(ego.speed_mps, frame.time_s - before_s)
         return ego
 
     def _between(self, time_s: float) -> EgoMotion:

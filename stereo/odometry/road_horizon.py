@@ -122,9 +122,9 @@ class RoadHorizon:
             covariance=float(P[_Y, _K]),
         )
 
-    def seen(self, travel_from_camera: FloatArray) -> RoadView:
-        """The road in the last frame in the axes of a camera, from which the rotation (3, 3) leads to
-        the axes of travel.
+    def seen(self, travel_from_camera: FloatArray, since_s: float = 0.0) -> RoadView:
+        """The road in the axes of a camera, from which the rotation (3, 3) leads to the axes of
+        travel, `since_s` after the last frame: the camera pitches and rolls on the springs.
         """
         right, down, forward = travel_from_camera.tolist()
         y, roll = float(self._x[_Y]), float(self._x[_R])
@@ -136,11 +136,14 @@ class RoadHorizon:
         by_roll = -(right[1] * horizon + right[2]) / n_y
         along = forward[2] ** 2  # curvature along the axis
         P = self._P.tolist()
+        # a random process of this variance and correlation time moves by so much
+        pitched = 2.0 * _SPRINGS_RAD**2 * (1.0 - math.exp(-since_s / _SPRINGS_S))
+        rolled = 2.0 * _ROLL_RAD**2 * (1.0 - math.exp(-since_s / _ROLL_S))
         return RoadView(
             horizon=horizon,
-            horizon_variance=by_y**2 * P[_Y][_Y]
+            horizon_variance=by_y**2 * (P[_Y][_Y] + pitched)
             + 2 * by_y * by_roll * P[_Y][_R]
-            + by_roll**2 * P[_R][_R],
+            + by_roll**2 * (P[_R][_R] + rolled),
             slope=slope,
             across=(right[0], right[2]),
             curvature_per_m=along * float(self._x[_K]),

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from tests.stereo.streets import CAMERA, HEIGHT_M, street
+from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.odometry.ground_odometry import GroundOdometry
+from track_range.tracking.camera_motion import CameraMotion
 
 NO_BOXES, DT_S = np.zeros((0, 4)), 0.1
 
@@ -51,21 +53,41 @@ def test_slow_speeds_by_frames_that_are_farther_apart(speed_mps):
 
 
 def test_frames_between_two_that_are_compared():
-    """25 frames/s: every second one has the predicted speed and yaw rate, and the last step."""
+    """25 frames/s: every second one has the predicted speed and yaw rate, the last step, and the
+    last horizon, on which the camera pitches."""
     mounting, speed_mps, yaw_rad_s = Mounting(pitch_deg=5.0), 8.0, 0.1
     odometry = GroundOdometry(CAMERA, HEIGHT_M, travel_from_camera=mounting.travel_from_camera)
-    steps = []
+    steps, sigmas = [], []
     for k in range(17):
         time_s = k / 25
         image = street(mounting, speed_mps * time_s, yaw_rad_s * time_s)
         motion = odometry.update(Frame(k, time_s, image, None), NO_BOXES)
         steps.append(odometry.step(motion))
+        sigmas.append(math.sqrt(odometry.view.horizon_variance))
         if k > 8:
             assert motion.speed_mps == pytest.approx(speed_mps, rel=0.05)
             assert motion.yaw_rad_s == pytest.approx(yaw_rad_s, abs=0.03)
             assert steps[-1].time_s == pytest.approx((2 * ((k - 1) // 2) + 1) / 25)
             assert steps[-1].dt_s == pytest.approx(2 / 25)
     assert steps[-1] is steps[-2]
+    assert math.sqrt(sigmas[-1] ** 2 - sigmas[-2] ** 2) == pytest.approx(0.0025 * 0.5, rel=0.05)
+
+
+@pytest.mark.parametrize(("speed_mps", "dt_s"), [(8.0, 0.1), (22.0, 0.05)])
+def test_frames_of_20_per_second_are_compared_while_the_road_between_them_is_short(speed_mps, dt_s):
+    """With each other at the speeds of motorways; the tracker follows the same corners."""
+    mounting, flow = Mounting(pitch_deg=5.0), BackgroundFlow()
+    axes = mounting.travel_from_camera
+    odometry = GroundOdometry(CAMERA, HEIGHT_M, flow=flow, travel_from_camera=axes)
+    of_tracker = CameraMotion(flow=flow)
+    for k in range(15):
+        image = street(mounting, speed_mps * k / 20)
+        motion = odometry.update(Frame(k, k / 20, image, None), NO_BOXES)
+        moved = of_tracker.update(np.dstack([image] * 3), NO_BOXES, k / 20)
+        if k > 8:
+            assert motion.speed_mps == pytest.approx(speed_mps, rel=0.05)
+            assert odometry.motion.dt_s == pytest.approx(dt_s)
+            np.testing.assert_allclose(moved, np.eye(2, 3), atol=1.0)
 
 
 def test_camera_that_stops_is_at_rest():

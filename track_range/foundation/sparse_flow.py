@@ -216,8 +216,6 @@ class BackgroundFlow:
 
     def __init__(self, long_side_px: int = 640) -> None:
         self._long_side_px = long_side_px
-        # shortest time between two frames with new corners, as the estimators need them
-        self.interval_s = DETECTION_INTERVAL_S
         # the last frame; None = there is none, or it is too small
         self.now: FlowFrame | None = None
         # the frame before it; None = there is none of equal size
@@ -235,11 +233,19 @@ class BackgroundFlow:
         self._expected: FloatArray32 | None = None
         self._start: FloatArray32 | None = None  # where the search of all corners begins
 
-    def add(self, image: Image, xyxy_px: FloatArray, time_s: float = math.nan) -> None:
+    def add(
+        self,
+        image: Image,
+        xyxy_px: FloatArray,
+        time_s: float = math.nan,
+        *,
+        interval_s: float = DETECTION_INTERVAL_S,
+    ) -> None:
         """Use an image, BGR or grey, as the last frame, unless the last frame has the same time;
         NaN = unknown.
 
-        Boxes `xyxy_px` (N, 4) of road users are not background; invalid boxes are ignored.
+        Boxes `xyxy_px` (N, 4) of road users are not background; invalid boxes are ignored. New
+        corners are detected `interval_s` after the last ones, or later.
         """
         if time_s == self._last_s:
             return
@@ -265,7 +271,7 @@ class BackgroundFlow:
         kept = None
         if self.before is None:
             self._detection = None
-        if self._detection is not None and time_s - self._detection.time_s < self.interval_s:
+        if self._detection is not None and time_s - self._detection.time_s < interval_s:
             kept = self._kept_corners()
         self.detection_before = self._detection
         if kept is not None and self.before is not None:

@@ -137,9 +137,8 @@ class FramePipeline:
     ) -> _Seen:
         """What a new image shows."""
         frame, lanes, detections = detected.frame, detected.lanes, detected.detections
-        with self.clock.stage("track"):
-            self.tracks = tracks = self._numbered(tracked(self.tracker, detections, frame))
-            others = self._numbered(unconfirmed(self.tracker))
+        # before the tracker, which uses the corners of the background as often as the ego stage
+        # needs new ones
         with self.clock.stage("ego"):
             ego = self.ego.update(
                 frame,
@@ -150,6 +149,9 @@ class FramePipeline:
                 has_sure_time=has_sure_time,
                 height_m=self.doubt.height_m,
             )
+        with self.clock.stage("track"):
+            self.tracks = tracks = self._numbered(tracked(self.tracker, detections, frame))
+            others = self._numbered(unconfirmed(self.tracker))
         if ego.right_camera is not None:
             frame = ego.right_camera.corrected(frame)
         measured = self.ranging.measure(tracks, frame, lanes, ego, self.scale, self.clock)
