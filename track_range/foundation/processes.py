@@ -14,6 +14,9 @@ from pathlib import Path
 
 # longest wait for the GIL; Python's default, 5 ms, is a tenth of the time per frame
 _SWITCH_INTERVAL_S = 0.0005
+# New objects after which unreachable ones are searched for. A frame makes and drops more than
+# Python's default, 700, whose searches take 0.5 ms per frame and find next to nothing.
+_N_NEW_OBJECTS = 10_000
 _FEW_CORES = 2  # up to which inference and the other stages need all of them
 
 _is_owned = False  # whether the process serves track-range alone
@@ -89,9 +92,9 @@ def tuned_process(*, has_dense_stereo: bool = False) -> Iterator[None]:
     """Context for the loop over a run in a process that serves only this run, as on the command
     line.
 
-    Threads wait at most 0.5 ms for the GIL. Garbage collections leave out the objects that exist
-    before, since searching them takes 60 ms; if the program has frozen objects itself, nothing
-    changes. On two cores or fewer, OpenCV uses one thread, since further threads would interrupt
+    Threads wait at most 0.5 ms for the GIL. Garbage collections are rarer, and leave out the
+    objects that exist before, since searching them takes 60 ms; if the program has frozen objects
+    itself, they are not changed. On two cores or fewer, OpenCV uses one thread, since further threads would interrupt
     inference. The end of the context restores the settings.
 
     Example:
@@ -105,16 +108,19 @@ def tuned_process(*, has_dense_stereo: bool = False) -> Iterator[None]:
             bottleneck and has all of OpenCV's threads.
     """
     interval_s, is_frozen = sys.getswitchinterval(), gc.get_freeze_count() > 0
+    n_new_objects, *older = gc.get_threshold()
     is_single = n_usable_cores() <= _FEW_CORES and not has_dense_stereo
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     if not is_frozen:
         gc.freeze()
+        gc.set_threshold(_N_NEW_OBJECTS, *older)
     try:
         with one_opencv_thread() if is_single else nullcontext():
             yield
     finally:
         sys.setswitchinterval(interval_s)
         if not is_frozen:
+            gc.set_threshold(n_new_objects, *older)
             gc.unfreeze()
 
 

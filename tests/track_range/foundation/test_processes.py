@@ -128,12 +128,15 @@ def test_threads_of_opencv(
 
 
 def test_objects_that_exist_before_are_frozen() -> None:
+    before = gc.get_threshold()
     assert gc.get_freeze_count() == 0
     with tuned_process(has_dense_stereo=False):
         with tuned_process(has_dense_stereo=False):
             assert gc.get_freeze_count() > 1000
         assert gc.get_freeze_count() > 1000
+        assert gc.get_threshold() == (10_000, *before[1:])
     assert gc.get_freeze_count() == 0
+    assert gc.get_threshold() == before
 
 
 def test_objects_that_the_application_has_frozen_remain_frozen() -> None:

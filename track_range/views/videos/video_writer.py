@@ -36,6 +36,11 @@ _MUXER_OPTIONS = {"movflags": "empty_moov+default_base_moof+frag_every_frame", "
 """One frame per fragment: 0.1 % larger than 0.2 s per fragment (KITTI 0003 at 10 frames/s), and as
 fast."""
 
+_FASTEST = "ultrafast"
+_KEPT_BLOCKS = {"x264-params": "dct-decimate=0"}
+"""Blocks with few coefficients are kept: at this preset, looking for them takes an eighth to a fifth
+of the time, and saves 3 % of the size."""
+
 MAX_HELD_FRAMES = 1  # number of frames that the muxer holds, and that a kill therefore loses
 # FFmpeg's AVCOL_SPC_BT470BG, the colour space of OpenCV's I420 conversion; players need it in the
 # header
@@ -76,7 +81,7 @@ class VideoWriter:
         fps: float,
         crf: int = 23,
         quantizer: int | None = None,
-        preset: str = "ultrafast",
+        preset: str = _FASTEST,
         n_threads: int = 1,
     ) -> None:
         self.path = path
@@ -88,6 +93,8 @@ class VideoWriter:
         # Zero latency disables the encoder's look-ahead, so that every frame is in the file as soon
         # as it is written.
         options = {"preset": preset, "tune": "zerolatency", "forced-idr": "1"}
+        if preset == _FASTEST:
+            options |= _KEPT_BLOCKS
         options |= {"crf": str(crf)} if quantizer is None else {"qp": str(quantizer)}
         try:
             av.Codec(_ENCODER, "w")
@@ -143,7 +150,7 @@ class VideoWriter:
         self._last_tick = tick = max(
             self._last_tick + 1, round((time_s - self._first_s) * _TICKS_HZ)
         )
-        frame = av.VideoFrame.from_ndarray(_i420(image), format="yuv420p")
+        frame = _video_frame(_i420(image))
         frame.pts, frame.time_base, frame.duration = tick, Fraction(1, _TICKS_HZ), self._frame_ticks
         if (
             self._keyframe_tick < 0
@@ -197,6 +204,15 @@ def _i420(image: Image) -> Image:
     if height_px % 2 or width_px % 2:
         even = cv2.copyMakeBorder(image, 0, height_px % 2, 0, width_px % 2, cv2.BORDER_REPLICATE)
     return cv2.cvtColor(even, cv2.COLOR_BGR2YUV_I420).astype(np.uint8, copy=False)
+
+
+def _video_frame(planes: Image) -> av.VideoFrame:
+    """The frame of planes (1.5 * H, W), without a copy if H is a multiple of 4: PyAV has a wrong
+    number of rows for others.
+    """
+    is_multiple = len(planes) % 6 == 0
+    create = av.VideoFrame.from_numpy_buffer if is_multiple else av.VideoFrame.from_ndarray
+    return create(planes, format="yuv420p")
 
 
 class FragmentFile:

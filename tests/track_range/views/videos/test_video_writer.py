@@ -196,6 +196,15 @@ def test_missing_encoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
         VideoWriter(tmp_path / "out.mp4", width_px=64, height_px=48, fps=10.0)
 
 
+@pytest.mark.parametrize("height_px", [46, 48])  # not and a multiple of 4
+def test_rows_of_all_heights(tmp_path: Path, height_px: int) -> None:
+    image = np.full((height_px, 64, 3), (200, 60, 60), np.uint8)
+    image[height_px // 2 :] = (60, 60, 200)
+    write(tmp_path / "out.mp4", [image], [0.0])
+    (frame,) = open_video(tmp_path / "out.mp4")
+    assert np.abs(frame.image.astype(int) - image).max() < 30
+
+
 def test_psnr_of_real_frames(shared_data: Path, tmp_path: Path) -> None:
     images = [
         frame.image for frame in open_video(shared_data / "kitti_stereo" / "0003" / "left.mp4")
