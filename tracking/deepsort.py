@@ -200,16 +200,15 @@ class DeepSortTracker:
                 np.zeros(len(detections), np.int64),
             )
             self._last_ids[matched] = self._table.track_id[tracks]
-        return self._smoothed(self._output(time_s, image, is_complete=detections.is_complete))
+        return self._output(time_s, image, is_complete=detections.is_complete)
 
     @property
     def tentative(self) -> Tracks:
         """The tracks detected in the last frame that are not confirmed yet."""
         table = self._table
         is_detected = table.history.last_s == self._last_s
-        return self._smoothed(
-            self._as_tracks((is_detected & ~table.is_confirmed).nonzero()[0], is_detected)
-        )
+        rows = (is_detected & ~table.is_confirmed).nonzero()[0]
+        return self._detected(rows, table.history.last_xyxy_px.take(rows, axis=0))
 
     def track_activation_threshold(self, class_id: IntArray) -> FloatArray:
         """(N,) minimum score at which a detection of a class (N,) starts a track, as estimated so
@@ -422,65 +421,55 @@ class DeepSortTracker:
         if not is_complete:  # which explains a missing box as well as an occlusion does
             gates = replace(gates, min_hit_streak_visible=gates.min_hit_streak)
         is_detected = table.history.last_s == time_s
-        detected = (table.is_confirmed & is_detected).nonzero()[0]
-        tracks = self._as_tracks(detected, is_detected)
-        if image is None and len(tracks):
-            np.maximum(
-                self._outermost_px, (tracks.xyxy_px * _OUTWARDS).max(axis=0), out=self._outermost_px
-            )
+        rows = (table.is_confirmed & is_detected).nonzero()[0]
+        boxes_px = table.history.last_xyxy_px.take(rows, axis=0)
+        if image is None and len(rows):
+            outermost_px = (boxes_px * _OUTWARDS).max(axis=0)
+            np.maximum(self._outermost_px, outermost_px, out=self._outermost_px)
+        detected = self._detected(rows, boxes_px)
         missing = (table.is_confirmed & ~is_detected).nonzero()[0]
         if not len(missing) or gates.max_missing_s <= 0:
-            return tracks
+            return detected
         border_px = self._outermost_px * _OUTWARDS
         if image is not None:
             border_px = np.array([-0.5, -0.5, image.shape[1] - 0.5, image.shape[0] - 0.5])
-        predicted, boxes_px = history.predict_missing(
+        predicted, predicted_px = history.predict_missing(
             table.history.select(missing),
             time_s,
             gates=gates,
             border_xyxy_px=border_px,
-            others_xyxy_px=tracks.xyxy_px,
+            others_xyxy_px=boxes_px,
         )
         if not len(predicted):
-            return tracks
+            return detected
         missing = missing[predicted]
         missing_s = time_s - table.history.last_s[missing]
-        xyxy_px, score = table.history.last_xyxy_px.copy(), table.score.copy()
-        xyxy_px[missing] = boxes_px
-        score[missing] *= 0.5 ** (missing_s / settings.score_half_life_s)
-        rows = np.sort(np.concatenate([detected, missing]))
-        boxes_px = xyxy_px.take(rows, axis=0)
+        score = table.score[missing] * 0.5 ** (missing_s / settings.score_half_life_s)
+        shown = np.concatenate([rows, missing])
+        order = shown.argsort()
+        shown = shown[order]
         return Tracks(
-            table.track_id[rows],
-            boxes_px,
-            table.class_id[rows],
-            score[rows],
-            is_detected[rows],
-            *table.class_doubt(rows),
+            table.track_id[shown],
+            np.concatenate([detected.xyxy_px, predicted_px]).take(order, axis=0),
+            table.class_id[shown],
+            np.concatenate([detected.score, score])[order],
+            order < len(rows),
+            *table.class_doubt(shown),
         )
 
-    def _smoothed(self, tracks: Tracks) -> Tracks:
-        """The tracks with smoothed boxes in place of detected boxes, if the settings ask for
-        them.
-        """
-        if not self._settings.is_smoothed or not len(tracks):
-            return tracks
-        filters = self._table.filters.select(np.searchsorted(self._table.track_id, tracks.track_id))
-        boxes_px = motion.smoothed(filters, tracks.xyxy_px)
-        return replace(tracks, xyxy_px=np.where(tracks.observed[:, None], boxes_px, tracks.xyxy_px))
-
-    def _as_tracks(self, rows: IntArray, is_detected: BoolArray) -> Tracks:
-        """The tracks in `rows`, with their last detected boxes; `is_detected` (N,) is for all
-        tracks of the table.
+    def _detected(self, rows: IntArray, xyxy_px: FloatArray) -> Tracks:
+        """The tracks in `rows` with their detected boxes (M, 4), smoothed if the settings ask for
+        it.
         """
         table = self._table
-        boxes_px = table.history.last_xyxy_px.take(rows, axis=0)
+        if self._settings.is_smoothed and len(rows):
+            xyxy_px = motion.smoothed(table.filters.x.take(rows, axis=0), xyxy_px)
         return Tracks(
             table.track_id[rows],
-            boxes_px,
+            xyxy_px,
             table.class_id[rows],
             table.score[rows],
-            is_detected[rows],
+            np.ones(len(rows), np.bool_),
             *table.class_doubt(rows),
         )
 

@@ -40,7 +40,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.boxes import xyxy_from_cxcywh
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, row_numbers
 
 # of a predicted box: IoU needs a positive size
@@ -92,15 +91,22 @@ class MotionNoise:
 class BoxFilters:
     """Filters of N boxes at one time."""
 
-    x: FloatArray  # (N, 4) cx, cy, w, h in px
-    v: FloatArray  # (N, 4) their rates in px/s
-    P_xx: FloatArray  # (N,) covariance, equal for all four coordinates
-    P_xv: FloatArray
-    P_vv: FloatArray
+    state: FloatArray  # (2, N, 4) x = cx, cy, w, h in px, and v, their rates in px/s
+    P: FloatArray  # (3, N) covariances P_xx, P_xv and P_vv, equal for all four coordinates
     height_px: FloatArray  # (N,) s, height of the last detected box, the unit of the noise
 
     def __len__(self) -> int:
         return len(self.height_px)
+
+    @property
+    def x(self) -> FloatArray:
+        """(N, 4) cx, cy, w, h in px."""
+        return np.asarray(self.state[0])
+
+    @property
+    def v(self) -> FloatArray:
+        """(N, 4) their rates in px/s."""
+        return np.asarray(self.state[1])
 
     @property
     def xyxy_px(self) -> FloatArray:
@@ -110,24 +116,25 @@ class BoxFilters:
     @property
     def position_sigma(self) -> FloatArray:
         """(N,) standard deviation of a coordinate, in heights of the last detected box."""
-        return np.asarray(np.sqrt(self.P_xx) / self.height_px)
+        return np.asarray(np.sqrt(self.P[0]) / self.height_px)
 
     def select(self, rows: BoolArray | IntArray) -> BoxFilters:
         """The rows that a mask or an index array selects, in its order."""
         i = row_numbers(rows, len(self.height_px))
-        x, v = self.x.take(i, axis=0), self.v.take(i, axis=0)
-        return BoxFilters(x, v, self.P_xx[i], self.P_xv[i], self.P_vv[i], self.height_px[i])
+        return BoxFilters(self.state.take(i, axis=1), self.P.take(i, axis=1), self.height_px[i])
 
     def assign(self, rows: IntArray, filters: BoxFilters) -> None:
         """Replace the filters in rows (M,), in place."""
-        self.x[rows], self.v[rows] = filters.x, filters.v
-        self.P_xx[rows], self.P_xv[rows], self.P_vv[rows] = filters.P_xx, filters.P_xv, filters.P_vv
+        self.state[:, rows], self.P[:, rows] = filters.state, filters.P
         self.height_px[rows] = filters.height_px
 
     def concatenate(self, other: BoxFilters) -> BoxFilters:
         """The filters of both states, `other`'s last."""
-        columns = ([getattr(self, name), getattr(other, name)] for name in self.__slots__)
-        return BoxFilters(*map(np.concatenate, columns))
+        return BoxFilters(
+            np.concatenate([self.state, other.state], axis=1),
+            np.concatenate([self.P, other.P], axis=1),
+            np.concatenate([self.height_px, other.height_px]),
+        )
 
 
 def initiate(xyxy_px: FloatArray, noise: MotionNoise) -> BoxFilters:
@@ -136,14 +143,8 @@ def initiate(xyxy_px: FloatArray, noise: MotionNoise) -> BoxFilters:
     """
     box = cxcywh(xyxy_px)
     s = box[:, 3].copy()
-    return BoxFilters(
-        x=box,
-        v=np.zeros_like(box),
-        P_xx=(noise.measured * s) ** 2,
-        P_xv=np.zeros_like(s),
-        P_vv=(noise.first_rate * s) ** 2,
-        height_px=s,
-    )
+    P = np.array([(noise.measured * s) ** 2, np.zeros_like(s), (noise.first_rate * s) ** 2])
+    return BoxFilters(np.array([box, np.zeros_like(box)]), P, s)
 
 
 def predict(
@@ -153,17 +154,16 @@ def predict(
     variance.
     """
     f, dt = filters, dt_s
-    variance = noise_scale * f.height_px**2
     drift, acceleration = noise.drift**2, noise.acceleration**2
-    P_xv = f.P_xv + dt * f.P_vv
-    return BoxFilters(
-        x=f.x + dt * f.v,
-        v=f.v,
-        P_xx=f.P_xx + dt * (f.P_xv + P_xv) + variance * (drift * dt + acceleration * dt**3 / 3),
-        P_xv=P_xv + variance * (acceleration * dt**2 / 2),
-        P_vv=f.P_vv + variance * (acceleration * dt),
-        height_px=f.height_px,
+    state = f.state.copy()
+    state[0] += dt * state[1]
+    variance = noise_scale * f.height_px**2
+    # of P_xx, P_xv and P_vv: F P F^T is linear in them
+    step = np.array([[1.0, 2 * dt, dt**2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
+    Q = np.array(
+        [[drift * dt + acceleration * dt**3 / 3], [acceleration * dt**2 / 2], [acceleration * dt]]
     )
+    return BoxFilters(state, step.dot(f.P) + Q * variance, f.height_px)
 
 
 def update(
@@ -176,33 +176,28 @@ def update(
     """
     f, z = filters, cxcywh(xyxy_px)
     y = z - f.x
-    S = f.P_xx + (noise.measured * f.height_px) ** 2
-    K_x, K_v = f.P_xx / S, f.P_xv / S
-    rate_change = K_v[:, None] * y
-    rate_change[is_person, 2:] *= noise.person_size_rate
-    updated = BoxFilters(
-        x=f.x + K_x[:, None] * y,
-        v=f.v + rate_change,
-        P_xx=f.P_xx - K_x * f.P_xx,
-        P_xv=f.P_xv - K_x * f.P_xv,
-        P_vv=f.P_vv - K_v * f.P_xv,
-        height_px=z[:, 3],
-    )
-    return updated, y / np.sqrt(S)[:, None]
+    S = f.P[0] + (noise.measured * f.height_px) ** 2
+    K = f.P[:2] / S
+    change = K[:, :, None] * y
+    change[1, is_person, 2:] *= noise.person_size_rate
+    P = f.P.copy()
+    P[:2] -= K[0] * f.P[:2]
+    P[2] -= K[1] * f.P[1]
+    return BoxFilters(f.state + change, P, z[:, 3]), y / np.sqrt(S)[:, None]
 
 
-def smoothed(filters: BoxFilters, xyxy_px: FloatArray) -> FloatArray:
-    """(N, 4) boxes between the detected boxes (N, 4) and the updated filters: less jitter, but some
-    lag in position.
+def smoothed(x: FloatArray, xyxy_px: FloatArray) -> FloatArray:
+    """(N, 4) boxes between the detected boxes (N, 4) and the states cx, cy, w, h (N, 4) of the
+    updated filters: less jitter, but some lag in position.
     """
-    z = cxcywh(xyxy_px)
-    return xyxy_from_cxcywh(z + _SMOOTHING * (filters.x - z))
+    change = _SMOOTHING * (x - cxcywh(xyxy_px))
+    return xyxy_px + change.dot(_XYXY_OF_CXCYWH)
 
 
 def gating_distance(filters: BoxFilters, xyxy_px: FloatArray, noise: MotionNoise) -> FloatArray:
     """(N, M) squared Mahalanobis distances d^2 of boxes (M, 4) from each prediction."""
     y = cxcywh(xyxy_px)[None, :, :] - filters.x[:, None, :]
-    S = filters.P_xx + (noise.measured * filters.height_px) ** 2
+    S = filters.P[0] + (noise.measured * filters.height_px) ** 2
     return np.asarray((y**2).sum(axis=2) / S[:, None])
 
 
@@ -212,15 +207,9 @@ def compensate_camera_motion(filters: BoxFilters, now_from_before: FloatArray) -
     """
     matrix, shift_px = _of_boxes(now_from_before)
     scale = float(matrix[2, 2])
-    f, variance = filters, scale * scale
-    return BoxFilters(
-        x=f.x.dot(matrix) + shift_px,
-        v=f.v.dot(matrix),
-        P_xx=f.P_xx * variance,
-        P_xv=f.P_xv * variance,
-        P_vv=f.P_vv * variance,
-        height_px=f.height_px * scale,
-    )
+    state = filters.state.dot(matrix)
+    state[0] += shift_px
+    return BoxFilters(state, filters.P * scale**2, filters.height_px * scale)
 
 
 def transformed(xyxy_px: FloatArray, now_from_before: FloatArray) -> FloatArray:

@@ -33,7 +33,7 @@ def step(
 
 def covariance(filters: BoxFilters) -> np.ndarray:
     """(N, 3) P_xx, P_xv, P_vv."""
-    return np.stack([filters.P_xx, filters.P_xv, filters.P_vv], axis=1)
+    return filters.P.T
 
 
 HALF_PX = np.array([20.0, 40.0])
@@ -117,20 +117,20 @@ def test_prediction_grows_uncertain() -> None:
     later = predict(initiate(BOX, NOISE), 0.5, NOISE)
     np.testing.assert_allclose(later.xyxy_px, BOX)
     # 80 px high: (0.05 * 80)^2 + (1.9 * 80 * 0.5)^2 + 80^2 * (0.27^2 * 0.5 + 0.5^3 / 3)
-    assert later.P_xx[0] == pytest.approx(16.0 + 5776.0 + 6400 * (0.03645 + 0.125 / 3))
+    assert later.P[0, 0] == pytest.approx(16.0 + 5776.0 + 6400 * (0.03645 + 0.125 / 3))
 
 
 def test_predicted_box_has_at_least_one_pixel() -> None:
     filters = initiate(BOX, NOISE)
-    shrinking = np.array([[0.0, 0.0, -500.0, -500.0]])
-    gone = predict(replace(filters, v=shrinking), 1.0, NOISE)
+    shrinking = np.array([filters.x, [[0.0, 0.0, -500.0, -500.0]]])
+    gone = predict(replace(filters, state=shrinking), 1.0, NOISE)
     np.testing.assert_allclose(gone.xyxy_px, [[119.5, 89.5, 120.5, 90.5]])
 
 
 def test_gating_distance_by_hand() -> None:
     filters = predict(initiate(BOX, NOISE), 0.1, NOISE)
     z = np.array([[110.0, 44.0, 152.0, 140.0], [100.0, 50.0, 140.0, 130.0]])
-    S = np.eye(4) * (filters.P_xx[0] + (0.05 * 80) ** 2)
+    S = np.eye(4) * (filters.P[0, 0] + (0.05 * 80) ** 2)
     innovation = np.array([131.0 - 120.0, 92.0 - 90.0, 42.0 - 40.0, 96.0 - 80.0])
     expected = innovation @ np.linalg.inv(S) @ innovation
     np.testing.assert_allclose(gating_distance(filters, z, NOISE), [[expected, 0.0]])
@@ -139,7 +139,7 @@ def test_gating_distance_by_hand() -> None:
 def test_gating_distance_is_chi_square() -> None:
     rng = np.random.default_rng(7)
     filters = predict(initiate(BOX, NOISE), 0.1, NOISE)
-    sigma = np.sqrt(filters.P_xx[0] + (0.05 * 80) ** 2)
+    sigma = np.sqrt(filters.P[0, 0] + (0.05 * 80) ** 2)
     cxcywh = filters.x[0] + rng.normal(0, 1, (4000, 4)) * sigma
     xyxy = np.concatenate(
         [cxcywh[:, :2] - cxcywh[:, 2:] / 2, cxcywh[:, :2] + cxcywh[:, 2:] / 2], axis=1
@@ -209,16 +209,14 @@ def test_noise_scale_increases_variance() -> None:
     low, high = (
         predict(initiate(BOX, NOISE), 0.1, NOISE, noise_scale=scale) for scale in (0.1, 1.0)
     )
-    assert low.P_xx[0] < high.P_xx[0]
-    assert low.position_sigma[0] == pytest.approx(np.sqrt(low.P_xx[0]) / 80.0)
+    assert low.P[0, 0] < high.P[0, 0]
+    assert low.position_sigma[0] == pytest.approx(np.sqrt(low.P[0, 0]) / 80.0)
 
 
 def test_camera_motion_of_filters() -> None:
     """A quarter turn about the origin, twice as large, 10 px to the right."""
-    one = np.ones(1)
-    filters = BoxFilters(
-        np.array([[120.0, 90.0, 40.0, 80.0]]), np.full((1, 4), 3.0), one, one, one, 80.0 * one
-    )
+    state = np.array([[[120.0, 90.0, 40.0, 80.0]], [[3.0, 3.0, 3.0, 3.0]]])
+    filters = BoxFilters(state, np.ones((3, 1)), np.array([80.0]))
     later = compensate_camera_motion(filters, np.array([[0.0, -2.0, 10.0], [2.0, 0.0, 0.0]]))
     np.testing.assert_allclose(later.x, [[-170.0, 240.0, 80.0, 160.0]])
     np.testing.assert_allclose(later.v, [[-6.0, 6.0, 6.0, 6.0]])
@@ -249,12 +247,7 @@ def test_rates_of_persons_sizes_have_a_lower_gain() -> None:
 
 
 def test_smoothed_box_has_the_filters_size_and_a_third_of_its_shift() -> None:
-    filters = BoxFilters(
-        np.array([[120.0, 90.0, 40.0, 80.0]]),
-        np.zeros((1, 4)),
-        *np.full((3, 1), 1.0),
-        np.array([80.0]),
-    )
+    x = np.array([[120.0, 90.0, 40.0, 80.0]])
     detected = np.array([[108.0, 50.0, 144.0, 142.0]])  # centre 126, 96; 36 x 92
     # centre 124, 94; 40 x 80
-    np.testing.assert_allclose(smoothed(filters, detected), [[104.0, 54.0, 144.0, 134.0]])
+    np.testing.assert_allclose(smoothed(x, detected), [[104.0, 54.0, 144.0, 134.0]])
