@@ -53,6 +53,7 @@ _NOISE_GREY = 0.5  # smallest standard deviation of residuals, of the camera's n
 _MIN_CORRELATION, _MIN_WEIGHT, _MAX_SIGMA = 0.8, 0.3, 0.1
 # largest distance of the patch from the middle of its box, as a fraction of the box
 _MAX_SHIFT = 0.25
+_MARGIN = 0.5  # of the box around it in which the search samples the image, as a fraction of it
 _CONVERGED = 0.01, 0.5  # largest last step of s: absolute, or in standard deviations
 _FIT, _FLOOR_PX, _DEPTH = 2.0, 0.05, 0.05  # see above
 # longest time since the key frame, and largest growth since then
@@ -68,7 +69,6 @@ _POINTS = np.stack([_X, _Y])[:, None]  # (2, 1, P)
 # every second point, for the coarser level
 _COARSE = np.arange(_GRID**2).reshape(_GRID, _GRID)[::2, ::2].ravel()
 _COARSE_POINTS = np.ascontiguousarray(_POINTS[..., _COARSE])
-_NO_IMAGE: Image = np.zeros((1, 1), np.uint8)
 
 
 class _Key(NamedTuple):
@@ -101,25 +101,30 @@ _N_ROWS = 2 * _GRID**2 + 13
 
 
 class _Pyramid:
-    """An image and its halved copies side by side, so that patches of all levels are sampled at
-    once.
+    """A part of an image and of its halved copies side by side, so that patches of all levels are
+    sampled at once; the rest of them is 0.
     """
 
-    def __init__(self, image: Image) -> None:
-        grey = small_grey(image, 0)
-        height, width = grey.shape
+    def __init__(self, image: Image, part_px: tuple[int, int, int, int]) -> None:
+        """`part_px` are left, top, right and bottom as of `_part_px`."""
+        left, top, right, bottom = part_px
+        part = small_grey(image[top:bottom, left:right], 0)
+        height, width = image.shape[:2]
         self._pixels = np.zeros((height, width + width // 2), np.uint8)
         places: list[tuple[int, int, int, int]] = []
         x, y = 0, 0
-        while len(places) < _N_LEVELS and min(grey.shape) >= _GRID:
-            height, width = grey.shape
-            self._pixels[y : y + height, x : x + width] = grey
+        while len(places) < _N_LEVELS and min(height, width) >= _GRID:
+            (n_rows, n_columns), row, column = part.shape, y + top, x + left
+            self._pixels[row : row + n_rows, column : column + n_columns] = part
             places.append((x, y, width - 1, height - 1))
+            if min(part.shape) < 2:
+                break
             x, y = (
                 self._pixels.shape[1] - self._pixels.shape[1] // 3,
                 0 if len(places) == 1 else y + height,
             )
-            grey = halved(grey)
+            part = halved(part)
+            left, top, width, height = left // 2, top // 2, width // 2, height // 2
         self._places = np.array(places, np.float32).reshape(-1, 4)
 
     @property
@@ -147,6 +152,23 @@ class _Pyramid:
         x, y = nearest + place[:2]
         values = np.asarray(cv2.remap(self._pixels, x, y, cv2.INTER_LINEAR), np.float32)
         return values, is_x_inside & is_y_inside
+
+
+_NO_PYRAMID = _Pyramid(np.zeros((1, 1), np.uint8), (0, 0, 1, 1))
+
+
+def _part_px(xyxy_px: FloatArray, image_hw: tuple[int, int]) -> tuple[int, int, int, int]:
+    """Left, top, right and bottom of the part of an image in which patches of boxes (N, 4) are
+    sought; those within the image are multiples of the pixels of the coarsest level.
+    """
+    pixel, last_px = 1 << (_N_LEVELS - 1), np.array([image_hw[1] - 1, image_hw[0] - 1])
+    low_px, high_px = xyxy_px[:, :2], xyxy_px[:, 2:]
+    margin_px = _MARGIN * (high_px - low_px)
+    first_px = np.clip((low_px - margin_px).min(axis=0), 0, last_px)
+    end_px = np.clip((high_px + margin_px).max(axis=0) + pixel, 0, last_px)
+    left, top = (first_px // pixel * pixel).astype(int).tolist()
+    right, bottom = ((end_px // pixel + 1) * pixel).astype(int).tolist()
+    return left, top, right, bottom
 
 
 def side_fraction(camera: PinholeCamera, middle_px: FloatArray, class_id: IntArray) -> FloatArray:
@@ -177,7 +199,10 @@ class PatchScales:
         last = _Key.of(state)
         is_usable &= ~(time_s - last.time_s < np.where(last.time_s == last.key_s, *_INTERVALS_S))
         # without a track that is due, the image is not needed
-        pyramid = _Pyramid(image if is_usable.any() else _NO_IMAGE)
+        pyramid = _NO_PYRAMID
+        if is_usable.any():
+            part_px = _part_px(tracks.xyxy_px[is_usable], image.shape[:2])
+            pyramid = _Pyramid(image, part_px)
         is_usable &= pyramid.n_levels > 0
         rows = (is_usable & (time_s - last.time_s <= _MAX_GAP_S)).nonzero()[0]
         if len(rows):
