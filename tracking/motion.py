@@ -191,7 +191,7 @@ def smoothed(x: FloatArray, xyxy_px: FloatArray) -> FloatArray:
     updated filters: less jitter, but some lag in position.
     """
     change = _SMOOTHING * (x - cxcywh(xyxy_px))
-    return xyxy_px + change.dot(_XYXY_OF_CXCYWH)
+    return np.asarray(xyxy_px + change.dot(_XYXY_OF_CXCYWH))
 
 
 def gating_distance(filters: BoxFilters, xyxy_px: FloatArray, noise: MotionNoise) -> FloatArray:
