@@ -106,6 +106,16 @@ PREAMBLES = {
 }
 
 
+def test_start_that_is_not_read_is_noted(tmp_path: Path) -> None:
+    notes = read(tmp_path, PREAMBLES["AiM"]).notes
+    assert any("10:00 AM" in note and "first frame" in note for note in notes)
+
+
+def test_a_stated_clock_comes_before_times_since_a_start(tmp_path: Path) -> None:
+    track = read(tmp_path, PREAMBLES["TrackAddict"])
+    assert (track.clock, track.time_s[0]) == ("utc", START_S)
+
+
 @pytest.mark.parametrize("name", PREAMBLES)
 def test_lines_before_and_below_the_header(tmp_path: Path, name: str) -> None:
     file_name = name if name.endswith("txt") else "log.csv"
@@ -122,9 +132,17 @@ def test_lines_of_a_table_keep_their_numbers(tmp_path: Path) -> None:
     assert log_table(tmp_path / "log.csv").lines[0] == 10
 
 
-def test_text_without_a_log_is_none(tmp_path: Path) -> None:
-    (tmp_path / "a.txt").write_text("a drive, at some time\nand at some speed\n")
-    assert read_sidecar(tmp_path / "a.txt", "drive.mp4", 20.0) is None
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a drive, at some time\nand at some speed\n",
+        '{"time": 1, "speed": 3}\n',
+        "May 12 09:30:20 host kernel: time, speed link 100 Mbps\n",
+    ],
+)
+def test_text_without_a_log_is_none(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.log").write_text(text)
+    assert read_sidecar(tmp_path / "a.log", "drive.mp4", 20.0) is None
 
 
 @pytest.mark.parametrize("unit", ["kmh", "mps"])

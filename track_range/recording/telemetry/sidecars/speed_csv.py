@@ -19,7 +19,7 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.csv_tables import CsvTable, line_of_header, read_csv_table
-from track_range.foundation.files.input_files import read_text, shortened
+from track_range.foundation.files.input_files import quoted, read_text, shortened
 from track_range.foundation.files.numeric_text import number, numbers
 from track_range.recording.telemetry.sidecars.sidecar import Sidecar, of_file
 from track_range.recording.telemetry.sidecars.time_texts import DAY_S, times_of_texts
@@ -55,8 +55,9 @@ _VIDEO_TIME = re.compile(
     r"elapsed.*|video_?time.*|cts|time ?\(?\[?s\)?\]?|offset.*)$"
 )
 _CLOCK_TIME = re.compile(
-    r"(?:^|[^a-z])(?:utc|date|time|timestamp|datetime|epoch|gpstime)(?:$|[^a-z])"
+    r"(?:^|[^a-z])(?:utc|date|time|timestamp|datetime|epoch|gpstime)(?:$|[^a-z])|since_?1970"
 )
+_DATED = re.compile(r"utc|epoch|unix|1970")  # before others, which may count from a start
 # in separate columns
 _DATE, _TIME_OF_DAY = re.compile(r"(?:^|[^a-z])date$"), re.compile(r"(?:^|[^a-z])time$")
 
@@ -92,7 +93,8 @@ _STEP_UNITS = (
 )
 # lines before the header that state the unit of speeds, and the start of a log
 _UNIT_LINE = re.compile(r"speed|velocity|unit", re.IGNORECASE)
-_START = re.compile(r"\bstart[^=:,;\d]{0,20}[=:,;](.{6,60})", re.IGNORECASE)
+_START = re.compile(r"\bstart[^=:,;\d]{0,20}[=:,;](.{0,40}?\d:\d\d.{0,30})", re.IGNORECASE)
+_MOMENT = re.compile(r"\d:\d\d")
 _MAX_UNIT_ROWS = 3  # below the header: units, sources of the columns
 # difference to speeds from positions, and moving samples, that show a unit
 _UNIT_TOLERANCE, _MIN_MOVING = 0.05, 10
@@ -116,7 +118,8 @@ def is_telemetry_header(header: Sequence[str]) -> bool:
     has_speed = (
         _columns(others, _SPEED, _NOT_SPEED) or _components(others) or _columns(others, _LATITUDE)
     )
-    return bool(has_speed) and time is not None
+    is_data = any(_MOMENT.search(name) or "{" in name for name in header)
+    return bool(has_speed) and time is not None and not is_data
 
 
 def has_positions(table: CsvTable) -> bool:
@@ -351,6 +354,7 @@ def _columns(
 def _time_column(header: Sequence[str]) -> str | None:
     """The heading of the times: a date and time if there is one, else seconds of the video."""
     clocks = _columns(header, _CLOCK_TIME, _VIDEO_TIME)
+    clocks.sort(key=lambda name: _DATED.search(name) is None)
     video = _columns(header, _VIDEO_TIME)
     return next(iter((*[name for name in video if name == "time_s"], *clocks, *video)), None)
 
@@ -374,31 +378,45 @@ def _times(table: CsvTable) -> tuple[FloatArray, Clock, tuple[str, ...]]:
 def _times_of_numbers(
     values: FloatArray, name: str, table: CsvTable
 ) -> tuple[FloatArray, Clock, tuple[str, ...]]:
-    """See `_times`: in the unit of the heading, else by their size; times since the start of a log
-    are on the clock of the start that the lines before the header state, else on that of the video.
+    """See `_times`; times since the start of a log are on the clock of the start that the lines
+    before the header state, else on that of the video.
     """
     known = values[np.isfinite(values)]
-    typical, notes = float(np.median(np.abs(known))), tuple[str, ...]()
+    typical = float(np.median(np.abs(known)))
     if name == "seconds" and 3600 < typical < 2 * DAY_S:  # Car Scanner's, since midnight
-        return values, "local", notes
-    scale = next((scale for unit, scale in _TIME_UNITS if unit.search(name)), None)
-    # a unit with which the times would be in a distant future is not that of the column
-    if scale is None or typical * scale > _LAST_EPOCH_S:
-        scale = next((scale for least, scale in _EPOCH_UNITS if typical > least), None)
-    if scale is None:
-        step = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
-        units = ((unit, scale) for least, unit, scale in _STEP_UNITS if step > least)
-        unit, scale = next(units, ("", 1.0))
-        notes = (f"the times have no unit; by their steps, they are {unit}.",) if unit else notes
+        return values, "local", ()
+    scale, notes = _scale(name, typical, np.diff(known))
     time_s = values * scale
     if typical * scale > _FIRST_EPOCH_S:
         return time_s, "utc", notes
     starts = [match[1].strip(' "') for line in table.preamble if (match := _START.search(line))]
-    if not starts:
-        return time_s, "video", notes
-    start_s, clock = times_of_texts(starts[:1], table.path)
-    # whole seconds, as videos state their start
-    return time_s + np.floor(start_s[0]), clock, notes
+    if starts:
+        start_s, clock = times_of_texts(starts[:1], table.path)
+        # whole seconds, as videos state their start
+        return time_s + np.floor(start_s[0]), clock, notes
+    unread = [
+        f"its times count from the first frame of the video, not from {quoted(line, 60)}; dates and "
+        "times in a column would be matched with those of the video."
+        for line in table.preamble
+        if _MOMENT.search(line)
+    ]
+    return time_s, "video", (*notes, *unread[:1])
+
+
+def _scale(name: str, typical: float, steps: FloatArray) -> tuple[float, tuple[str, ...]]:
+    """Seconds per unit of times in the unit of their heading, else by their size; and notes."""
+    scale = next((scale for unit, scale in _TIME_UNITS if unit.search(name)), None)
+    # a unit with which the times would be in a distant future is not that of the column
+    if scale is not None and typical * scale <= _LAST_EPOCH_S:
+        return scale, ()
+    scale = next((scale for least, scale in _EPOCH_UNITS if typical > least), None)
+    if scale is not None:
+        return scale, ()
+    step = float(np.median(steps)) if len(steps) else 0.0
+    for least, unit, scale in _STEP_UNITS:
+        if step > least:
+            return scale, (f"the times have no unit; by their steps, they are {unit}.",)
+    return 1.0, ()
 
 
 CSV = Sidecar(suffixes=(".csv", ".tsv"), read=of_file(read_csv), priority=-10)

@@ -21,6 +21,7 @@ _DATES = (  # notations besides ISO 8601; of several with which all texts can be
         "%Y/%m/%d",
         "%Y%m%d",
         "%d-%b-%Y",
+        "%d-%b-%y",
         "%d %b %Y",
         "%d %B %Y",
     ),
