@@ -1,8 +1,9 @@
-"""The reader of all YAML and JSON files: limited in size and depth, without aliases; errors are one sentence.
+"""The reader of all YAML and JSON files: limited in size and depth, without nested aliases; errors are one sentence.
 
     regular file -> text -> events: depth, aliases, tags -> plain values -> pydantic model (`schemas.validation`)
 
-Aliases are refused because a file of 500 bytes with nested aliases expands to gigabytes (the "billion laughs" attack).
+An alias counts as many values as what it stands for, and is refused in what another one stands for: a file of 500
+bytes with nested aliases expands to gigabytes (the "billion laughs" attack).
 """
 
 import json
@@ -180,19 +181,45 @@ def _problem(error: yaml.YAMLError) -> str:
     return problem.removeprefix("but ").removeprefix("found ")
 
 
+class _Anchors:
+    """The anchors of a YAML text, and how many values each stands for."""
+
+    def __init__(self) -> None:
+        self.sizes: dict[str | None, int] = {}  # of those that are closed
+        self.opened: list[tuple[int, str, int]] = []  # depth, name and first value
+
+    def see(self, event: yaml.Event, depth: int, n_values: int) -> None:
+        """Note an anchor that begins or ends with an event."""
+        anchor = getattr(event, "anchor", None)
+        if isinstance(event, yaml.CollectionStartEvent) and anchor is not None:
+            self.opened.append((depth, anchor, n_values))
+        elif isinstance(event, yaml.ScalarEvent) and anchor is not None:
+            self.sizes[anchor] = 1
+        elif isinstance(event, yaml.CollectionEndEvent) and self.opened:
+            opened_depth, anchor, first = self.opened[-1]
+            if opened_depth == depth:
+                self.opened.pop()
+                self.sizes[anchor] = n_values - first + 1
+
+
 def _check_events(text: str) -> None:
-    """Raise yaml.YAMLError for invalid syntax, too much depth, aliases, and tags of other types."""
+    """Raise yaml.YAMLError for invalid syntax, too much depth, nested aliases, and tags of other
+    types.
+    """
     depth = n_values = 0
+    anchors = _Anchors()
     for event in yaml.parse(text, _BaseLoader):
         problem = ""
         n_values += isinstance(event, yaml.NodeEvent)
         if isinstance(event, yaml.AliasEvent):
-            problem = f"the alias '*{shortened(str(event.anchor))}'; write the value itself"
+            if anchors.opened or event.anchor not in anchors.sizes:
+                problem = f"the alias '*{shortened(str(event.anchor))}'; write the value itself"
+            n_values += anchors.sizes.get(event.anchor, 0)
         elif isinstance(event, yaml.CollectionStartEvent):
             depth += 1
             problem = f"more than {MAX_DEPTH} nested lists or keys" if depth > MAX_DEPTH else ""
-        elif isinstance(event, yaml.CollectionEndEvent):
-            depth -= 1
+        anchors.see(event, depth, n_values)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
         if (tag := getattr(event, "tag", None)) not in (None, "!", *_TAGS):
             problem = f"the tag {quoted(tag)}; write plain values"
         if n_values > MAX_YAML_VALUES:

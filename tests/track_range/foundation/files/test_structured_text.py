@@ -49,7 +49,10 @@ BOMB = "a: &a [x, x]\n" + "".join(
     ("text", "key_word"),
     [
         (BOMB, "alias"),
-        ("a: &x [1]\nb: *x", "line 2"),
+        ("a: &x [1]\nb: &y [*x]", "line 2"),
+        ("b: *x", "alias"),
+        ("a: &x [*x]", "alias"),
+        ("a: &x [" + "1, " * 5000 + "1]\nb: [" + "*x, " * 5 + "*x]", "values"),
         ("[" * 3000, f"more than {MAX_DEPTH} nested"),
         ("- " * 3000, "nested"),
         ("{a: " * 3000, "nested"),
@@ -193,3 +196,11 @@ def test_any_text(text: str) -> None:
 def test_errors_with_a_context(text, word):
     with pytest.raises(UserError, match=word):
         parse_yaml(text, "a.yaml", UserError, "settings")
+
+
+def test_an_alias_of_plain_values() -> None:
+    """As PyYAML writes a matrix that a calibration has twice."""
+    assert parse_yaml("a: &x [1, 2]\nb: *x", "a.yaml", UserError, "a rig") == {
+        "a": [1, 2],
+        "b": [1, 2],
+    }
