@@ -6,7 +6,7 @@ A wrong calibration silently gives wrong distances, so implausible values are er
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -17,7 +17,13 @@ from track_range.foundation.schemas.validation import Integer
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.image_size import has_aspect_of, is_size_of
 from track_range.stereo.geometry.mounting import Mounting
-from track_range.stereo.geometry.rig import RigAccuracy, RigError, RoadCalibration, StereoRig
+from track_range.stereo.geometry.rig import (
+    RigAccuracy,
+    RigError,
+    RoadCalibration,
+    StereoRig,
+    rigid_motion,
+)
 from track_range.stereo.lenses.registry import LENSES
 
 BASELINE_M = (0.01, 5.0)  # plausible range of the baseline, metres
@@ -52,6 +58,23 @@ _N_VIEW_POINTS = 25
 _MIN_SHARED_VIEW, _FULL_SHARED_VIEW = 0.05, 0.7
 
 
+class NamedCamera(NamedTuple):
+    """A camera of a file with several: one of its name for each size of its images."""
+
+    name: str
+    camera: PinholeCamera
+    # (4, 4) transform from a frame that the cameras of the file share, metres; None = unknown
+    pose: FloatArray | None = None
+    notes: tuple[str, ...] = ()  # messages for the user, if it is chosen
+
+    def scaled(self, metres: float, note: str) -> NamedCamera:
+        """The camera with its position in metres, of one in another unit."""
+        if self.pose is None:
+            return self
+        pose = rigid_motion(self.pose[:3, :3], self.pose[:3, 3] * metres)
+        return self._replace(pose=pose, notes=(*self.notes, note))
+
+
 @dataclass(frozen=True, slots=True)
 class RigCalibration:
     """Content of a calibration file in any format."""
@@ -74,6 +97,19 @@ class RigCalibration:
     # where the left (or only) camera is in its vehicle, and where it looks; None = unknown
     mounting: Mounting | None = None
     accuracy: RigAccuracy | None = None  # of a calibration with a board; None = unknown
+    # all cameras of a file with several, of which `left` and `right` are the usual ones; empty = it
+    # has no others
+    cameras: tuple[NamedCamera, ...] = ()
+
+    @property
+    def known_cameras(self) -> tuple[NamedCamera, ...]:
+        """The cameras by name: `cameras`, else left and right."""
+        if self.cameras:
+            return self.cameras
+        left = NamedCamera("left", self.left, np.eye(4), self.notes)
+        if self.right is None:
+            return (left,)
+        return (left, NamedCamera("right", self.right, self.right_from_left, self.notes))
 
     def checked_rig(self, source: object) -> StereoRig | None:
         """The rig; None for a single camera. Raises RigError if it is implausible, or its unit is

@@ -19,10 +19,8 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig, rigid_motion
 from track_range.stereo.geometry.rig_checks import NO_VERTICAL_PAIRS
 from track_range.stereo.lenses.lens import KANNALA_BRANDT, PINHOLE
+from track_range.stereo.rig_formats.values.lens_models import kalibr_names
 
-# distortion models that are OpenCV's
-_MODELS = ("", "plumb_bob", "rational_polynomial", "pinhole", "none")
-_FISHEYE_MODELS = ("equidistant", "fisheye")  # distortion models that are OpenCV's fisheye model
 # largest relative difference of the focal lengths of two rectified cameras
 _FOCAL_DIFFERENCE = 0.01
 _ROW_DIFFERENCE_PX = 2.0  # largest difference of their principal rows
@@ -46,7 +44,14 @@ class CameraInfo:
     @property
     def is_fisheye(self) -> bool:
         """Whether the distortion is OpenCV's fisheye model."""
-        return self.model in _FISHEYE_MODELS
+        return kalibr_names(self.model) == ("", "equidistant")
+
+    @property
+    def is_of_opencv(self) -> bool:
+        """Whether the distortion is OpenCV's radial and tangential one, or not stated."""
+        names = kalibr_names(self.model)
+        is_of_pinhole = names is not None and names[0] in ("", "pinhole")
+        return not self.model or (is_of_pinhole and not self.is_fisheye)
 
     def of_images(self, size_px: tuple[int, int], source: str) -> "CameraInfo":
         """The calibration of images of this size: those of the region, binned, or of the whole
@@ -84,7 +89,7 @@ def camera_of(message: CameraInfo, path: Path, *, is_rectified: bool) -> Pinhole
         return PinholeCamera.of_matrix(message.p, message.size_px)
     n_coefficients = len(message.distortion)
     has_distortion = any(message.distortion) or (message.is_fisheye and n_coefficients == 4)
-    is_known = n_coefficients == 4 if message.is_fisheye else message.model in _MODELS
+    is_known = n_coefficients == 4 if message.is_fisheye else message.is_of_opencv
     if has_distortion and not (is_known and n_coefficients in _COEFFICIENTS):
         raise RigError(
             f"{path}: expected a distortion model plumb_bob, rational_polynomial or equidistant, "

@@ -31,10 +31,11 @@ from track_range.foundation.files.structured_text import parse_json
 from track_range.foundation.schemas.validation import Integer, Number, validated
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, inverse_motion, rigid_motion
-from track_range.stereo.geometry.rig_checks import RigCalibration
+from track_range.stereo.geometry.rig_checks import NamedCamera, RigCalibration
 from track_range.stereo.lenses.lens import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.rig_formats.rig_format import format_by_pattern
 from track_range.stereo.rig_formats.values.containers import plain_values
+from track_range.stereo.rig_formats.values.lens_models import stated_lens
 
 _ZED_TITLE = "ZED's SN*.conf"
 _OAK_TITLE = "DepthAI's (OAK) calibration"
@@ -83,6 +84,9 @@ def _read_zed(text: str, path: Path) -> RigCalibration:
 def _zed_mode(values: Mapping[str, Mapping[str, float]], mode: str, path: Path) -> RigCalibration:
     left, right = (_zed_camera(values, side, mode, path) for side in ("LEFT", "RIGHT"))
     common = values.get("STEREO", {})
+    if "baseline" not in common:
+        cameras = (NamedCamera("left", left), NamedCamera("right", right))
+        return RigCalibration(left, None, None, cameras=cameras)
     ending = f"_{mode.lower()}"
     of_mode = {
         name.removesuffix(ending): value for name, value in common.items() if name.endswith(ending)
@@ -182,6 +186,13 @@ def _read_oak(text: str, path: Path) -> RigCalibration:
         )
     left, right = sockets
     motion, baseline = _oak_motion(cameras, left, right, path)
+    known = tuple(
+        NamedCamera(
+            f"CAM_{chr(ord('A') + socket)}", camera, _route(cameras, left, socket, "translation")
+        )
+        for socket, one in cameras.items()
+        for camera in filter(None, (one.camera(), _cropped(one.camera())))
+    )
     note = (
         f"{path}: {_OAK_TITLE} of {quoted(file.productName or 'a device')}: sockets {left} (left) "
         f"and {right} (right), lengths in centimetres; the baseline is {baseline}."
@@ -189,6 +200,7 @@ def _read_oak(text: str, path: Path) -> RigCalibration:
     rig = RigCalibration(
         cameras[left].camera(), cameras[right].camera(), motion, notes=(note,), metres_per_unit=0.01
     )
+    rig = replace(rig, cameras=known)
     return _with_cropped(rig, path)
 
 
@@ -300,6 +312,7 @@ _RS_EXTRINSIC = re.compile(
     r'Extrinsic from\s+"(?P<first>[^"\n]+)"\s+To\s+"(?P<second>[^"\n]+)"[\s:]*Rotation Matrix:'
     r"(?P<rotation>[-+\d.eE\s]{0,500})Translation Vector:(?P<translation>[-+\d.eE \t]{0,200})"
 )
+_RS_MODEL = re.compile(r"^[^\S\n]*(?:Distortion|Model)\s*:([^\n]+)", re.MULTILINE)
 _RS_STREAMS = (("Infrared 1", "Infrared 2"), ("Infrared", "Infrared 2"), ("Fisheye 1", "Fisheye 2"))
 
 
@@ -308,8 +321,17 @@ _RsCameras = Mapping[tuple[int, int], PinholeCamera]  # of one stream, by size
 
 def _read_realsense(text: str, path: Path) -> RigCalibration:
     """The two infrared cameras, for all resolutions of the output of rs-enumerate-devices -c."""
-    cameras = _rs_cameras(text)
+    cameras = _rs_cameras(text, path)
     motions = _rs_motions(text)
+    known = tuple(
+        NamedCamera(
+            stream,
+            camera,
+            np.eye(4) if motions and stream == "Depth" else motions.get(("Depth", stream)),
+        )
+        for stream, of_size in cameras.items()
+        for camera in of_size.values()
+    )
     for first, second in _RS_STREAMS:
         lefts, rights = cameras.get(first, {}), cameras.get(second, {})
         sizes = [size for size in lefts if size in rights]
@@ -324,7 +346,9 @@ def _read_realsense(text: str, path: Path) -> RigCalibration:
         rig, *others = [
             RigCalibration(lefts[size], rights[size], motion, notes=(note,)) for size in sizes
         ]
-        return replace(rig, others=tuple(others))
+        return replace(rig, others=tuple(others), cameras=known)
+    if known:
+        return RigCalibration(known[0].camera, None, None, cameras=known)
     streams = quoted(", ".join(cameras) or "none")
     raise RigError(
         f'{path}: expected intrinsics of "Infrared 1" and "Infrared 2" and the extrinsic between '
@@ -332,11 +356,11 @@ def _read_realsense(text: str, path: Path) -> RigCalibration:
     )
 
 
-def _rs_cameras(text: str) -> dict[str, _RsCameras]:
+def _rs_cameras(text: str, path: Path) -> dict[str, _RsCameras]:
     """The cameras of each stream; of several with one size, the first."""
     cameras: dict[str, dict[tuple[int, int], PinholeCamera]] = {}
     for match in _RS_INTRINSIC.finditer(text):
-        camera = _rs_camera(match["body"])
+        camera = _rs_camera(match["body"], path)
         if camera is not None:
             cameras.setdefault(match["stream"].strip(), {}).setdefault(camera.size_px, camera)
     return dict(cameras)
@@ -360,7 +384,7 @@ def _rs_numbers(text: str) -> list[float]:
     return [float(number) for number in re.findall(_RS_NUMBER, text)]
 
 
-def _rs_camera(body: str) -> PinholeCamera | None:
+def _rs_camera(body: str, path: Path) -> PinholeCamera | None:
     """The camera of the lines of one stream and size; None if a number is missing."""
     lines = re.findall(r"^[^\S\n]*(\w+)\s*:([^\n]*)", body.lower(), re.MULTILINE)
     # of several lines, the first
@@ -370,7 +394,9 @@ def _rs_camera(body: str) -> PinholeCamera | None:
         return None
     fx, fy, ppx, ppy, width, height = (values[name][0] for name in names)
     coefficients = values.get("coeffs", [])
-    is_fisheye = "kannala" in body.lower() or "f-theta" in body.lower()
+    model = _RS_MODEL.search(body)
+    stated = None if model is None else stated_lens({"Distortion": model[1].strip()}, path)
+    is_fisheye = stated is not None and stated[0] == KANNALA_BRANDT
     distortion = coefficients[: 4 if is_fisheye else 5]
     if not is_fisheye and not any(coefficients):
         distortion = []
@@ -380,7 +406,7 @@ def _rs_camera(body: str) -> PinholeCamera | None:
 
 
 ZED = format_by_pattern(
-    "zed", _ZED_TITLE, _ZED_SECTION, _read_zed, "sections LEFT_CAM_HD and RIGHT_CAM_HD"
+    "zed", _ZED_TITLE, _ZED_SECTION, _read_zed, "a section STEREO with Baseline"
 )
 OAK = format_by_pattern(
     "oak",
@@ -394,5 +420,5 @@ REALSENSE = format_by_pattern(
     _REALSENSE_TITLE,
     re.compile('Intrinsic of "|Extrinsic from "'),
     _read_realsense,
-    'the stream "Infrared 2"',
+    'the extrinsic from "Infrared 1" to "Infrared 2" (rs-enumerate-devices -c > rig.txt)',
 )

@@ -38,7 +38,7 @@ _LINE = re.compile(r"^[ \t]*(P|S)(?:_rect_0?)?(\d{1,3})[ \t]*[: \t][ \t]*(.*)$",
 _NUMBER = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)
 _MIN_NAMELESS = 9  # smallest number of words of a line that is meant as a projection matrix
 _BRACKETS = str.maketrans("[](),;", "      ")  # separators, and the brackets of copied matrices
-_RAW_LINE = re.compile(r"^[ \t]*([SKDRT]_\d{2,3})[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
+_RAW_LINE = re.compile(r"^[ \t]*([SKDRT]_\d{2,3})[ \t]*[: \t][ \t]*([-+\d].*)$", re.MULTILINE)
 # numbers in the lines of the images before rectification
 _RAW_COUNTS = {"K": 9, "D": 5, "R": 9, "T": 3}
 # largest plausible magnitude of a number in a projection; NaN and larger numbers are rejected

@@ -4,6 +4,7 @@
 
 import contextlib
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from track_range.stereo.geometry.rig_checks import (
     shared_view_notes,
 )
 from track_range.stereo.geometry.size_notes import fitted_rig, fitted_to_size
+from track_range.stereo.rig_formats.camera_choice import chosen
 from track_range.stereo.rig_formats.rig_format import RigFormat, RigWriter
 from track_range.stereo.rig_formats.ros import read_folder
 from track_range.stereo.rig_formats.values.containers import calibration_text
@@ -31,11 +33,9 @@ RIG_FORMATS = Registry(
         "zed": "track_range.stereo.rig_formats.devices:ZED",
         "oak": "track_range.stereo.rig_formats.devices:OAK",
         "realsense": "track_range.stereo.rig_formats.devices:REALSENSE",
-        "euroc": "track_range.stereo.rig_formats.body_frames:EUROC",
-        "vins": "track_range.stereo.rig_formats.body_frames:VINS",
+        "vins": "track_range.stereo.rig_formats.vins:VINS",
         "dialects": "track_range.stereo.rig_formats.dialects:READ_ONLY",
         "opencv": "track_range.stereo.rig_formats.opencv:OPENCV",
-        "kalibr": "track_range.stereo.rig_formats.kalibr:KALIBR",
         "kitti": "track_range.stereo.rig_formats.kitti:KITTI",
         "ros": "track_range.stereo.rig_formats.ros:ROS",
     },
@@ -52,17 +52,23 @@ def load_rig(
     size_px: tuple[int, int],
     right_size_px: tuple[int, int] | None = None,
     is_grey: bool = False,
+    cameras: Sequence[str] = (),
 ) -> tuple[StereoRig, tuple[str, ...]]:
     """The rig of a file, for images of `size_px` = (width, height), and notes for the user.
 
-    `path` may be a folder with ROS's camera_info of two cameras; `right_size_px` None = `size_px`;
-    `is_grey` chooses the grey pair of a KITTI file. Raises RigError if the file cannot be read, is
-    not a rig, has only one camera, is implausible, or is for other images.
+    `cameras` are the names of the left and the right one in a file of several; `path` may be a
+    folder with ROS's camera_info of two cameras; `right_size_px` None = `size_px`; `is_grey`
+    chooses the grey pair of a KITTI file. Raises RigError if the file cannot be read, is not a rig,
+    has only one camera, is implausible, or is for other images.
     """
-    calibration = read_calibration(path, is_grey=is_grey, is_pair=True).of_size(size_px)
+    calibration = read_calibration(
+        path, is_grey=is_grey, is_pair=True, cameras=cameras, size_px=size_px
+    ).of_size(size_px)
     if (rig := calibration.checked_rig(path)) is None:
+        names = list(dict.fromkeys(known.name for known in calibration.known_cameras))
+        present = "one camera" if len(names) == 1 else f"only the cameras {' and '.join(names)}"
         raise RigError(
-            f"{path}: expected {missing_camera(path, is_grey=is_grey)}, found one camera; give a "
+            f"{path}: expected {missing_camera(path, is_grey=is_grey)}, found {present}; give a "
             "file with both cameras, or run on one video with --mono."
         )
     return _fitted(rig, calibration.notes, path, (size_px, right_size_px or size_px))
@@ -107,15 +113,21 @@ def _check_sizes(
 
 
 def load_camera(
-    path: Path, *, size_px: tuple[int, int] | None, is_grey: bool = False
+    path: Path,
+    *,
+    size_px: tuple[int, int] | None,
+    is_grey: bool = False,
+    cameras: Sequence[str] = (),
 ) -> tuple[PinholeCamera, tuple[str, ...]]:
-    """The only, or left, camera of a file, for images of `size_px` = (width, height), and notes for
-    the user.
+    """The only, or left, camera of a file, or the one with the name in `cameras`, for images of
+    `size_px` = (width, height), and notes for the user.
 
     With `size_px` None, the camera has the file's image size, which may be 0. Raises RigError if
     the file cannot be read, is not a calibration, is implausible, or is for other images.
     """
-    calibration = read_calibration(path, is_grey=is_grey, is_pair=False).of_size(size_px)
+    calibration = read_calibration(
+        path, is_grey=is_grey, is_pair=False, cameras=cameras, size_px=size_px
+    ).of_size(size_px)
     check_camera(calibration.left, f"{path}: left")
     if size_px is None:
         return calibration.left, calibration.notes
@@ -130,20 +142,21 @@ def load_calibration(
     size_px: tuple[int, int] | None = None,
     is_grey: bool = False,
     metres_per_unit: float | None = None,
+    cameras: Sequence[str] = (),
 ) -> tuple[PinholeCamera | StereoRig, tuple[str, ...]]:
-    """The rig of a file, or its only camera, and notes for the user; see `load_rig` and
-    `load_camera`.
+    """The rig of a file, or its only camera, or those with the names in `cameras`, and notes for the
+    user; see `load_rig` and `load_camera`.
 
     `metres_per_unit` is the unit of the lengths in the file, None = by the format, the file or
     their size.
     """
     calibration = (
-        read_calibration(path, is_grey=is_grey, is_pair=True)
+        read_calibration(path, is_grey=is_grey, is_pair=None, cameras=cameras, size_px=size_px)
         .in_unit(metres_per_unit)
         .of_size(size_px)
     )
     if (rig := calibration.checked_rig(path)) is None:
-        return load_camera(path, size_px=size_px, is_grey=is_grey)
+        return load_camera(path, size_px=size_px, is_grey=is_grey, cameras=cameras)
     return (
         (rig, calibration.notes)
         if size_px is None
@@ -170,7 +183,7 @@ def left_from_reference_m(
     of the images; None = rectified. Raises RigError if the file cannot be read or is not a
     calibration.
     """
-    calibration = read_calibration(path, is_grey=is_grey, is_pair=False).of_size(size_px)
+    calibration = content_of(path, is_grey=is_grey, is_pair=False).of_size(size_px)
     return np.array(calibration.left_from_reference_m)
 
 
@@ -194,8 +207,23 @@ def format_of(path: Path) -> tuple[RigFormat, str]:
     return next(form for form, is_recognised in answers if is_recognised), text
 
 
-def read_calibration(path: Path, *, is_grey: bool, is_pair: bool) -> RigCalibration:
-    """Content of a file, or of the two camera_info of ROS in a folder, for two cameras or one."""
+def read_calibration(
+    path: Path,
+    *,
+    is_grey: bool,
+    is_pair: bool | None,
+    cameras: Sequence[str] = (),
+    size_px: tuple[int, int] | None = None,
+) -> RigCalibration:
+    """The two cameras of a file, or of the two camera_info of ROS in a folder, or one of them; None =
+    two, if the file is of a pair. See `camera_choice.chosen`.
+    """
+    content = content_of(path, is_grey=is_grey, is_pair=is_pair is not False)
+    return chosen(content, path, cameras, size_px, is_pair=is_pair)
+
+
+def content_of(path: Path, *, is_grey: bool, is_pair: bool) -> RigCalibration:
+    """Content of a file with all its cameras."""
     if os.path.isdir(path):
         return _read_folder(path, is_grey=is_grey)
     rig_format, text = format_of(path)
@@ -213,7 +241,7 @@ def _read_folder(folder: Path, *, is_grey: bool) -> RigCalibration:
     n_single = 0
     for file in (file for place in (folder, *inside) for file in files_of(place)):
         with contextlib.suppress(RigError):
-            calibration = read_calibration(file, is_grey=is_grey, is_pair=True)
+            calibration = content_of(file, is_grey=is_grey, is_pair=True)
             if calibration.right is not None:
                 return calibration
             n_single += 1

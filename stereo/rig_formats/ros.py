@@ -31,6 +31,8 @@ _EXPECTED = "a camera_info of ROS"
 _RECOGNISED = re.compile(r"^(?:(?:camera|projection)_matrix|[kKpP])[ \t]*:", re.MULTILINE)
 # scripts have none
 _HAS_SIZE = re.compile(r"^(?:image_)?width[ \t]*:|^projection_matrix|^[pP][ \t]*:", re.MULTILINE)
+# a message as JSON has all of these keys
+_JSON_KEYS = ('"distortion_model"', '"K"', '"D"', '"R"', '"P"')
 _OST = re.compile(r"^# oST|^\[image\]\s*$", re.MULTILINE)  # camera_calibration's text file
 _OST_NAMES = {
     "width": "image_width", "height": "image_height", "camera matrix": "camera_matrix",
@@ -41,7 +43,7 @@ _OST_VALUE = re.compile(
 )
 _OST_NUMBER = re.compile(r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d{1,3})?")
 _SEPARATOR = re.compile(r"^---[^\n]*$", re.MULTILINE)  # line between two YAML documents
-_SUFFIXES = (".yaml", ".yml")
+_SUFFIXES = (".yaml", ".yml", ".json")
 
 
 def _data_of(value: object) -> object:
@@ -102,6 +104,9 @@ class _Camera(NamedTuple):
 
 
 def _is_camera_info(text: str) -> bool:
+    is_json = text.lstrip().startswith("{")
+    if is_json and all(key in text or key.lower() in text for key in _JSON_KEYS):
+        return True
     if _OST.search(text):
         return True
     return _RECOGNISED.search(text) is not None and _HAS_SIZE.search(text) is not None

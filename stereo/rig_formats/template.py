@@ -30,7 +30,7 @@ def rig_template(path: Path, *, metres_per_unit: float | None = None) -> str:
     `metres_per_unit` is the unit of the lengths in the file, None = by the file or their size.
     """
     try:
-        calibration = read_calibration(path, is_grey=False, is_pair=True).in_unit(metres_per_unit)
+        calibration = read_calibration(path, is_grey=False, is_pair=None).in_unit(metres_per_unit)
         cameras = [
             {} if camera is None else _values(camera)
             for camera in (calibration.left, calibration.right)

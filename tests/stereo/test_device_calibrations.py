@@ -89,6 +89,8 @@ def test_realsense(tmp_path):
     assert load_rig(path, size_px=(848, 480))[0].left.fx_px == 425.5
     path.write_text(REALSENSE)
     with pytest.raises(RigError, match="rs-enumerate-devices -c"):
+        load_rig(path, size_px=(848, 480))
+    with pytest.raises(RigError, match=r"--camera.*Depth, Infrared 1, Infrared 2"):
         load_calibration(path)
 
 

@@ -64,7 +64,7 @@ def test_the_pair_of_a_chain(tmp_path):
     assert (rig.right.width_px, rig.right.height_px) == SIZE
     assert rig.baseline_m == pytest.approx(0.110004, abs=1e-6)
     assert rig.right_from_left[0, 2] == 0.004472
-    assert notes == ()
+    assert len(notes) == 1
 
 
 def test_cameras_are_ordered_from_left_to_right(tmp_path):
@@ -72,7 +72,7 @@ def test_cameras_are_ordered_from_left_to_right(tmp_path):
     rig, notes = load_rig(camchain(tmp_path, chain(T_cn_cnm1=inverse.tolist())), size_px=SIZE)
     assert rig.left.fx_px == 457.587
     assert rig.baseline_m == pytest.approx(0.110004, abs=1e-5)
-    assert "left camera" in notes[0]
+    assert "used as the left camera" in notes[1]
 
 
 def test_one_camera_and_three(tmp_path):
@@ -83,8 +83,14 @@ def test_one_camera_and_three(tmp_path):
     assert load_calibration(path)[0] == load_camera(path, size_px=SIZE)[0]
     with pytest.raises(RigError, match="cam1"):
         load_rig(path, size_px=SIZE)
-    _, notes = load_rig(camchain(tmp_path, {**chain(), "cam2": chain()["cam1"]}), size_px=SIZE)
-    assert "3 cameras" in notes[0]
+    path = camchain(tmp_path, {**chain(), "cam2": chain()["cam1"]})
+    with pytest.raises(RigError, match=r"names LEFT,RIGHT .*cam0, cam1, cam2"):
+        load_rig(path, size_px=SIZE)
+    rig, _ = load_rig(path, size_px=SIZE, cameras=("cam0", "cam2"))
+    assert rig.baseline_m == pytest.approx(0.22, abs=1e-4)
+    with pytest.raises(RigError, match=r"NAME of one camera in --camera.*cam0, cam1, cam2"):
+        load_camera(path, size_px=SIZE)
+    assert load_camera(path, size_px=SIZE, cameras=("cam2",))[0].fx_px == 457.587
 
 
 def test_no_distortion(tmp_path):
@@ -96,21 +102,20 @@ def test_no_distortion(tmp_path):
     ("content", "key_word"),
     [
         (chain(camera_model="omni"), "omni"),
-        (chain(cam0_camera_model=None), "cam0"),
         (chain(distortion_model="fov"), "fov"),
         (chain(T_cn_cnm1=None), "T_cn_cnm1"),
         (chain(cam0_intrinsics=[1, 2, 3]), "intrinsics"),
         (chain(cam0_intrinsics=[1, 2, 3, "x"]), "intrinsics"),
         (chain(cam0_intrinsics=[1, 2, 3, float("nan")]), "finite"),
         (chain(T_cn_cnm1=[[1, 0], [0, 1]]), "T_cn_cnm1"),
-        (chain(resolution=[0, 480]), "resolution"),
-        (chain(resolution=[640, 2147483648]), "resolution"),
+        (chain(resolution=[0, 480]), "image_width"),
+        (chain(resolution=[640, 2147483648]), "image_width"),
         (chain(resolution=[640, "high"]), "resolution"),
-        (chain(distortion_coeffs=[0.1]), "distortion_coeffs"),
+        (chain(distortion_coeffs=[0.1]), "4, 5, 8, 12 or 14 finite distortion coefficients"),
         (chain(T_cn_cnm1=np.diag([1.0, 1.0, -1.0, 1.0]).tolist()), "rotation"),
         (chain(T_cn_cnm1=[[0, 0, 0, 0.1], [0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 1]]), "rotation"),
         (chain(T_cn_cnm1=[*np.eye(4).tolist()[:3], [0, 0, 0, 0]]), "last row"),
-        ("cam1: {}\n", "cam0"),
+        ("cam1: {}\n", "matrix M1 of a camera"),
         ("cam0: [1\n", "YAML"),
     ],
 )
@@ -160,8 +165,8 @@ def test_wide_lenses(tmp_path, lens):
 @pytest.mark.parametrize(
     ("lens", "changes", "key_word"),
     [
-        ("omni", {"intrinsics": [800.0, 801.0, 367.0, 248.0]}, "5 intrinsics"),
-        ("double-sphere", {"intrinsics": [-0.2, 0.6, 240.0, 241.0, 367.0]}, "6 intrinsics"),
+        ("omni", {"intrinsics": [800.0, 801.0, 367.0, 248.0]}, "5 coefficients"),
+        ("double-sphere", {"intrinsics": [-0.2, 0.6, 240.0, 241.0, 367.0]}, "2 coefficients"),
         ("double-sphere", {"intrinsics": [-0.2, 9.0, 240.0, 241.0, 367.0, 248.0]}, "double-sphere"),
         ("kannala-brandt", {"distortion_coeffs": [0.1]}, "distortion_coeffs"),
         ("kannala-brandt", {"distortion_coeffs": [0.0, 0.0, -90.0, 0.0]}, "kannala-brandt"),

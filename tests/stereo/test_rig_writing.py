@@ -125,4 +125,4 @@ def test_written_files_are_recognised(tmp_path, name, cameras):
 
 
 def test_number_of_rig_formats():
-    assert len(RIG_FORMATS.usable) == 18
+    assert len(RIG_FORMATS.usable) == 33

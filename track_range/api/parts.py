@@ -21,6 +21,7 @@ from track_range.detection.yolo.detector import YoloSettings
 from track_range.foundation.arrays import Image
 from track_range.foundation.schemas.keywords import KeywordsInErrors
 from track_range.recording import recording
+from track_range.recording.cameras.calibration import names_of
 from track_range.run.options.opened import DetectorOptions, open_detector, open_tracker_options
 from track_range.run.options.settings import RunSettings
 from track_range.run.ready_model import ready_model
@@ -33,7 +34,11 @@ open_recording = KeywordsInErrors(RunSettings)(recording.open_recording)
 
 
 def load_rig(
-    path: str | Path, *, size_px: tuple[int, int] | None = None, is_grey: bool = False
+    path: str | Path,
+    *,
+    size_px: tuple[int, int] | None = None,
+    is_grey: bool = False,
+    camera: Sequence[str] = (),
 ) -> StereoRig:
     """Stereo rig of a calibration file: rig.yaml, or a format of cameras, scripts and data sets.
 
@@ -46,13 +51,16 @@ def load_rig(
         path: calibration file.
         size_px: (width, height) of the images; None = as in the file. KITTI's files do not contain
             it.
+        camera: names of the left and the right camera in a file of several.
         is_grey: whether to use the grey pair of a KITTI file that also has a colour pair.
 
     Raises:
         RigError: the file cannot be read, contains a single camera, or has no image size and
             `size_px` is None.
     """
-    rig, _ = load_calibration(Path(path), size_px=size_px, is_grey=is_grey)
+    rig, _ = load_calibration(
+        Path(path), size_px=size_px, is_grey=is_grey, cameras=names_of(camera)
+    )
     if not isinstance(rig, StereoRig):
         raise RigError(f"{path}: expected {missing_camera(Path(path))}, found one camera.")
     if not rig.left.width_px:

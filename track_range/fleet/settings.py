@@ -72,6 +72,15 @@ class FleetSettings(Options):
             metavar="NAME|PATTERN",
         ),
     ] = None
+    rig_camera: Annotated[
+        str | None,
+        _input(
+            "Name of the camera of all clips in calibration files of several cameras, or the names "
+            "of the left and the right one, as --camera of a run (--camera of a fleet names "
+            "cameras without a calibration).",
+            metavar="NAME|LEFT,RIGHT",
+        ),
+    ] = None
     settings: Annotated[
         Path | None,
         _input(

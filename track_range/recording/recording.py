@@ -19,6 +19,7 @@ from track_range.recording.cameras.calibration import (
     LensView,
     RecordingCalibration,
     find_calibration,
+    names_of,
 )
 from track_range.recording.cameras.camera_estimate import CameraEstimate
 from track_range.recording.pairs.aligner import (
@@ -204,7 +205,8 @@ def open_recording(
         progress: shows the progress of the alignment's estimation.
         keywords: single options, in the place of those in `options`: `rig`, a calibration file
             (rig.yaml, or the file of a camera or a script) or the models of two cameras, by default
-            a file next to `left`; `focal_px` of cameras without such a file; `fov_deg`, horizontal
+            a file next to `left`; `camera`, the name of the camera in a file of several, or of the
+            left and the right one; `focal_px` of cameras without such a file; `fov_deg`, horizontal
             field of view to which the images of wide lenses are undistorted, and `yaw_deg`, its
             direction to the right of one camera's axis; `align`, disparity correction of a pair:
             "auto" (estimated from the first frames), "off", a file or an alignment; `start_s` and
@@ -245,6 +247,7 @@ def open_recording(
             names[0],
             videos,
             rig=Path(rig) if isinstance(rig, str) else rig,
+            cameras=names_of(options.camera),
             focal_px=options.focal_px,
             view=LensView(options.fov_deg, options.yaw_deg),
         )

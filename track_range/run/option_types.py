@@ -57,6 +57,7 @@ class RunKeywords(PipelineKeywords, total=False):
     track: int | None
     topics: str | Sequence[str] | None
     rig: str | Path | StereoRig | None
+    camera: str | Sequence[str] | None
     focal_px: float | None
     known_distance: str | Sequence[str] | None
     fov_deg: float | None

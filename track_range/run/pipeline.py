@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
 from pathlib import Path
@@ -33,7 +33,12 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.throughput import latency_ms
 from track_range.ranging.size_models.curve import load_curves
 from track_range.recording.cameras.auto_alignment import PairAlignment, given_alignment
-from track_range.recording.cameras.calibration import LensView, RecordingCalibration, calibration_of
+from track_range.recording.cameras.calibration import (
+    LensView,
+    RecordingCalibration,
+    calibration_of,
+    names_of,
+)
 from track_range.recording.pairs.aligner import ONE_BY_ONE, PairAligner
 from track_range.recording.video.frame import RecordedFrame
 from track_range.results.events.event import Event
@@ -51,7 +56,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera
 from track_range.stereo.odometry.ego_motion import EgoMotion
-from track_range.stereo.rig_formats.reading import load_calibration
+from track_range.stereo.rig_formats.reading import content_of, load_calibration
 from track_range.stereo.speed.ego_speed import MAX_SPEED_MPS, TABLE_SIGMA_MPS
 from track_range.tracking.registry import ObjectTracker
 
@@ -129,6 +134,8 @@ class _Cameras:
     view: LensView
     align: str | Path | Alignment | PairAlignment | None = "off"
     is_pair: bool = field(default=False, kw_only=True)
+    # of the file: of the camera, or of the left and the right one; empty = the usual ones
+    names: tuple[str, ...] = field(default=(), kw_only=True)
 
 
 def _opened_alignment(
@@ -190,7 +197,9 @@ class Pipeline:
         self._cameras = cameras
         # unusable files are reported before the first frame
         if isinstance(cameras.models, Path):
-            load_calibration(cameras.models)
+            content = content_of(cameras.models, is_grey=False, is_pair=cameras.is_pair)
+            if cameras.names or not content.cameras:  # of several, the images' size may choose
+                load_calibration(cameras.models, cameras=cameras.names)
         self._align = _opened_alignment(cameras.align)
         self._is_closed = False
         self._tracker = tracker
@@ -219,6 +228,7 @@ class Pipeline:
         keep_s: float = 60.0,
         deterministic: bool = False,
         fov_deg: float | None = None,
+        camera: str | Sequence[str] = (),
         **options: Unpack[PipelineKeywords],
     ) -> Self:
         """A pipeline for the images of two cameras.
@@ -236,6 +246,7 @@ class Pipeline:
                 priority, of about 200 MB, estimates them.
             fov_deg: horizontal field of view to which images of wide lenses are undistorted; None =
                 the full field.
+            camera: names of the left and the right camera in a calibration file of several.
             options: options of `track-range run` for detection, tracking and ranging, with
                 underscores. `detector` and `tracker` may also be objects with `detect` and
                 `update`.
@@ -250,7 +261,8 @@ class Pipeline:
             )
         values, objects = options_and_objects(PipelineOptions, {**options})
         chosen, view = pipeline_options(values), LensView(fov_deg)
-        given = _Cameras(Path(rig) if isinstance(rig, str) else rig, view, align, is_pair=True)
+        models = Path(rig) if isinstance(rig, str) else rig
+        given = _Cameras(models, view, align, is_pair=True, names=names_of(camera))
         return cls(given, chosen, **objects, keep_s=keep_s, deterministic=deterministic)
 
     @classmethod
@@ -264,6 +276,7 @@ class Pipeline:
         deterministic: bool = False,
         fov_deg: float | None = None,
         yaw_deg: float = 0.0,
+        camera: str | Sequence[str] = (),
         **options: Unpack[PipelineKeywords],
     ) -> Self:
         """A pipeline for the images of one camera; see `stereo` for the other arguments.
@@ -275,6 +288,7 @@ class Pipeline:
             rig: calibration file, or the model of the camera (of a pair, the left one).
             yaw_deg: direction of the axis of the undistorted images of a wide lens, to the right of
                 the lens axis.
+            camera: name of the camera in a calibration file of several.
 
         Raises:
             ConfigError: an option is unknown or invalid; or both `focal_px` and `rig` are given.
@@ -291,7 +305,8 @@ class Pipeline:
             )
         values, objects = options_and_objects(PipelineOptions, {**options})
         chosen, view = pipeline_options(values), LensView(fov_deg, yaw_deg)
-        given = _Cameras(Path(cameras) if isinstance(cameras, str) else cameras, view)
+        models = Path(cameras) if isinstance(cameras, str) else cameras
+        given = _Cameras(models, view, names=names_of(camera))
         return cls(given, chosen, **objects, keep_s=keep_s, deterministic=deterministic)
 
     @property
@@ -492,7 +507,7 @@ class Pipeline:
         if not isinstance(cameras, Path | StereoRig | PinholeCamera | None):
             cameras = PinholeCamera.of_focal_length(float(cameras), sizes_px[0])
             check_camera(cameras, "focal_px")
-        calibration = calibration_of(cameras, sizes_px, self._cameras.view)
+        calibration = calibration_of(cameras, sizes_px, self._cameras.view, self._cameras.names)
         aligner = None
         if calibration.rig is not None:
             given = given_alignment(self._align, calibration.rig)

@@ -25,6 +25,7 @@ class Quantity(NamedTuple):
     # whether a transform is that from the second camera to the first; a matrix is column by column
     is_inverse: bool = False
     is_transposed: bool = False
+    order: tuple[int, ...] = ()  # places of the values in OpenCV's order; () = as they are
     # where the side of its camera stands: in the name, else in the block around it; only in the block
     side_in: Literal["name", "block", "nothing"] = "name"
 
@@ -41,18 +42,23 @@ class Meaning(NamedTuple):
 QUANTITIES = (
     Quantity("K", "k m a camera cameramatrix cammatrix cameramat cammat cam cammats mtx matrix mat intrinsic"
              " intrinsics kmat kk cm intrinsicmatrix intrinsicsmatrix intrinsicmat intrinsicparameters"
-             " cameraintrinsics cameraintrinsic kmatrix projectionparameters", (9, 4)),
+             " cameraintrinsics cameraintrinsic kmatrix projectionparameters camk cammatrixoriginal"
+             " cameramatrixoriginal originalcameramatrix", (9, 4, 12, 5, 6)),
     Quantity("D", "d dist distcoeffs distcoeff distcoefs distcoef distortion distortioncoefficients"
              " distortioncoefficient kc coeffs distortioncoeffs distortioncoeff distortioncoefs distcoefficients"
              " cameradistcoeff cameradistcoeffs dcoeffs distortionvector distortionmatrix distmatrix"
-             " distortionparameters distortionparams", (0, 1, 2, 4, 5, 8, 12, 14)),
-    Quantity("radial", "radialdistortion", (2, 3)),
+             " distortionparameters distortionparams camd fisheyeparams distoparam", (0, 1, 2, 3, 4, 5, 8, 12, 14)),
+    Quantity("D", "distot2", (5,), order=(0, 1, 3, 4, 2)),  # OpenMVG's k1 k2 k3 p1 p2
+    Quantity("radial", "radialdistortion distok1 distok3", (1, 2, 3)),
     Quantity("tangential", "tangentialdistortion", (2,)),
     Quantity("R", "r rot rotation rotationmatrix rotmat rotmatrix rmat rmatrix rvec rotationvector om stereor"
              " stereorotation relativerotation rotationbetweencameras rlefttoright", (9, 3)),
     Quantity("T", "t trans transl translation translationvector translationmatrix transvec tvec tvector tmat stereot"
              " trns stereotranslation relativetranslation tlefttoright", (3,), is_length=True),
     Quantity("T", "translationofcamera2", (3,), is_length=True, side_in="nothing"),  # MATLAB's
+    # MRPT's pose of the right camera, in the block LEFT2RIGHT_POSE
+    Quantity("T", "translationonly", (3,), is_length=True, is_inverse=True, side_in="nothing"),
+    Quantity("R", "rotationmatrixonly", (9,), is_inverse=True, side_in="nothing"),
     Quantity("R", "rotationofcamera2", (9,), is_transposed=True, side_in="nothing"),
     Quantity("rect", "rect rrect recttrans recttransform rectify rectification rectificationmatrix rectrotation"
              " rectifiedrotation", (9,)),
@@ -63,23 +69,32 @@ QUANTITIES = (
              (16, 12), side_in="block"),
     Quantity("transform", "tc1c2 tlr t12 tleftright leftfromright righttoleft", (16, 12), is_inverse=True,
              side_in="block"),
+    # pose of a camera in the frame of a body, x_body = T x_camera, and its inverse
+    Quantity("body", "tsc tbs tbc timucam bodytcam tbodycam", (16, 12), side_in="block"),
+    Quantity("body", "tcamimu tcambody tcamref tcb", (16, 12), is_inverse=True, side_in="block"),
     Quantity("baseline", "baseline b stereob stereobaseline", is_length=True, side_in="block"),
-    Quantity("bf", "bf camerabf stereobf", side_in="block"),
-    Quantity("fx", "fx f focal focallength focallengthpx focallengthx focalx fxpx fu gamma1 fc", (1, 2)),
-    Quantity("fy", "fy focallengthy focaly fypx fv gamma2"),
-    Quantity("cx", "cx u0 ppx pu cu cxpx principalpointx centerx opticalcenterx"),
-    Quantity("cy", "cy v0 ppy pv cv cypx principalpointy centery opticalcentery"),
+    Quantity("bf", "bf camerabf stereobf focalxbaseline", side_in="block"),
+    Quantity("fx", "fx f focal focallength focallengthpx focallengthx focallengthxpx focalx flx fxpx fu gamma1"
+             " mu fc", (1, 2)),
+    Quantity("fy", "fy focallengthy focallengthypx focaly fly fypx fv gamma2 mv"),
+    Quantity("cx", "cx u0 ppx pu cu cxpx principalpointx centerx opticalcenterx focalcenterxpx"),
+    Quantity("cy", "cy v0 ppy pv cv cypx principalpointy centery opticalcentery focalcenterypx"),
     Quantity("centre", "cc principalpoint opticalcenter opticalcentre", (2,)),
     Quantity("width", "width imagewidth imgwidth imagewidthpx widthpx cols w nx"),
     Quantity("height", "height imageheight imgheight imageheightpx heightpx rows h ny"),
-    Quantity("size", "size imagesize imgsize imsize resolution imageshape imgshape shape imageresolution wh", (2, 3)),
+    Quantity("size", "size imagesize imgsize imsize resolution imageshape imgshape shape imageresolution wh"
+             " imagedimension imagedimensions imagersize", (2, 3)),
     Quantity("square", "squaresize squarelength squarewidth square chessboardsquaresize checkersize",
              is_length=True, side_in="block"),
-    Quantity("fisheye", "fisheyemodel isfisheye", side_in="block"),
+    Quantity("fisheye", "fisheyemodel isfisheye fisheye bfisheye usefisheye", side_in="block"),
     Quantity("depth_scale", "depthmapfactor", side_in="block"),  # of a camera whose second image is depth
     Quantity("unit", "worldunits units unit lengthunit", (), side_in="block"),
-    Quantity("model", "cameratype distortionmodel modeltype model cameramodel type", ()),
-    *(Quantity(name, name, side_in="block") for name in ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")),
+    Quantity("skew", "skew b2", side_in="block"),
+    Quantity("b1", "b1", side_in="block"),  # Agisoft's fx - fy
+    *(
+        Quantity(name, name, side_in="block")
+        for name in ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "xi", "alpha")
+    ),
 )  # fmt: skip
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in OpenCV's order
 UNITS_M = {"mm": 0.001, "cm": 0.01, "m": 1.0}  # by the ending of a name
@@ -89,7 +104,7 @@ _SEPARATORS = re.compile(r"[^a-z0-9]")
 _UNIT_ENDING = re.compile(r"(?:_|(?<=.{4}))(mm|cm|m)$")
 _SIDES = r"left|right|l|r|\d{1,3}"
 _AROUND = re.compile(  # a key whose values are of one camera
-    rf"(?:cam|camera|camerainfo|sensor|view|infrared|infra|ir|mono|intrinsics?|params|calib)?({_SIDES})"
+    rf"(?:cam|camera|cameraparams|camerainfo|sensor|view|infrared|infra|ir|mono|intrinsics?|params|calib)?({_SIDES})"
     r"(?:cam|camera|camerainfo|image|img|infrared|ir|intrinsics?|params|parameters|sensor|calib|calibration|lens)?"
     rf"|cameraparameters(\d)"
 )
@@ -99,7 +114,7 @@ _BETWEEN = re.compile(r"(?:from)?(.+?)to(.+)")
 _NAME = "|".join(
     alias for row in QUANTITIES if row.side_in == "name" for alias in row.aliases.split()
 )
-_SIDE_IN_NAME = r"(?:of)?(?:cam|camera)?(?P<side>left|right|l|r|\d)(?:cam|camera)?"
+_SIDE_IN_NAME = r"(?:of)?(?:cam|camera)?(?P<side>left|right|l|r|\d{1,2})(?:cam|camera)?"
 _BEFORE = re.compile(rf"{_SIDE_IN_NAME}(?P<name>{_NAME})")
 _BEHIND = re.compile(rf"(?P<name>{_NAME}){_SIDE_IN_NAME}")
 
@@ -112,10 +127,10 @@ def meaning(keys: tuple[str, ...], n_values: int) -> Meaning | None:
     # camera_matrix: {left: ...}
     if len(words) > 1 and words[-2] in _BY_ALIAS and re.fullmatch(_SIDES, words[-1]):
         return Meaning(_side(words[-1]), _BY_ALIAS[words[-2]])
-    around: Side = None
-    for word in words[:-1]:
-        around = around if (side := _side_of_block(word)) is None else side
+    around = side_around(keys)
     result = _by_name(words[-1], around, n_values) or _by_length(keys[-1], around, n_values)
+    if result is None and len(words) > 1:  # distortion: {parameters: ...}
+        result = _by_name(words[-2] + words[-1], around, n_values)
     if result is None or result.quantity.name not in ("R", "T"):
         return result
     direction = _direction(words[:-1])
@@ -124,12 +139,25 @@ def meaning(keys: tuple[str, ...], n_values: int) -> Meaning | None:
     return result._replace(side=None, is_inverse=direction < 0) if direction else None
 
 
+def side_around(keys: tuple[str, ...]) -> Side:
+    """The side that the blocks around a value state, the innermost first; None = none."""
+    sides = (_side_of_block(_plain(key)) for key in reversed(keys[:-1]))
+    return next((side for side in sides if side is not None), None)
+
+
+def side_of_name(name: str) -> Side:
+    """The side that the name of a block states; None = none."""
+    return _side_of_block(_plain(name))
+
+
 def _plain(key: str) -> str:
     return _SEPARATORS.sub("", key.lower())
 
 
 def _by_name(name: str, around: Side, n_values: int) -> Meaning | None:
     """The meaning of a name, which may begin or end with its side, in a block of the side `around`."""
+    if name == "fisheye" and n_values > 1:  # OpenMVG's coefficients, no flag
+        name = "distortion"
     quantity = _BY_ALIAS.get(name)
     if quantity is not None and (name not in COEFFICIENTS or n_values == 1):
         side = None if quantity.side_in == "nothing" else around

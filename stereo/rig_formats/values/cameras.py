@@ -1,43 +1,118 @@
 """Parts of a camera, and the cameras, from the draft of a calibration."""
 
 import math
+import re
+from typing import NamedTuple
 
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.files.input_files import quoted
+from track_range.foundation.files.input_files import quoted, shortened
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.geometry.rig_checks import MAX_SIDE_PX
-from track_range.stereo.lenses.lens import KANNALA_BRANDT, PINHOLE
+from track_range.stereo.lenses.lens import KANNALA_BRANDT, PINHOLE, KalibrModel
+from track_range.stereo.lenses.registry import LENSES
 from track_range.stereo.rig_formats.values.aliases import COEFFICIENTS, Side
 from track_range.stereo.rig_formats.values.draft import RigDraft
+from track_range.stereo.rig_formats.values.lens_models import stated_lens
 from track_range.stereo.rig_formats.values.stated import Stated
 
 _FISHEYE_RAD = 1.6  # 2 cx / fx of images with four coefficients above which the lens is a fisheye
-_FISHEYE_MODELS = ("kannala", "fisheye", "equidistant")  # words in the name of the lens model
+_MIN_SKEW_PX = 0.5  # of a skew that is worth a note
+_SIZE = re.compile(r"(\d{3,5})x(\d{3,5})")  # in the name of a camera or mode
 
 
-def camera_of(draft: RigDraft, index: int) -> PinholeCamera:
-    """The first (0) or second (1) camera; RigError if a part is missing, or cannot be that of a
-    camera.
+class StatedLens(NamedTuple):
+    """The lens model of a camera."""
+
+    name: str
+    notes: tuple[str, ...] = ()  # on a model that is not stated
+    model: KalibrModel | None = None  # as stated
+
+    @property
+    def is_ideal(self) -> bool:
+        """Whether the file states that there is no distortion."""
+        return self.model is not None and self.model.distortion == "none"
+
+
+def camera_of(draft: RigDraft, side: Side, number: int) -> PinholeCamera:
+    """The camera of a side, the first (1) or second (2); RigError if a part is missing, or cannot be
+    that of a camera.
     """
-    side, number = draft.pair[index], index + 1
-    matrix, distortion = matrix_of(draft, side, number), distortion_of(draft, side)
+    lens = lens_of(draft, side)
+    matrix = matrix_of(draft, side, number)
     if matrix is None:
         raise incomplete(draft, [f"M{number}"])
-    is_of_parallel_pair = draft.dialect.is_rectified or draft.pair_has("baseline", "bf")
-    if distortion is None and not is_of_parallel_pair:
-        raise RigError(
-            f"{draft.path}: expected the distortion coefficients D{number} of the camera "
-            f"{_name(draft, side, number)}, found none; write zeros for undistorted images."
-        )
-    coefficients = np.zeros(0) if distortion is None else distortion
-    is_fisheye = coefficients.size == 4 and lens_of(draft)[0]
-    size_px = size_px_of(draft, side, matrix[:2, 2])
+    coefficients = _coefficients(draft, side, number, lens)
     return PinholeCamera.of_matrix(
-        matrix, size_px, coefficients, KANNALA_BRANDT if is_fisheye else PINHOLE
+        matrix, size_px_of(draft, side, matrix[:2, 2]), coefficients, lens.name
     )
+
+
+def _coefficients(draft: RigDraft, side: Side, number: int, lens: StatedLens) -> FloatArray:
+    """The coefficients of a lens; RigError if they are missing, or of another number."""
+    names = LENSES.named(lens.name).coefficients
+    scalars = [draft.of(side, name) for name in names]
+    if lens.name not in (PINHOLE, KANNALA_BRANDT) and None not in scalars:
+        return np.array([scalar[0] for scalar in scalars])
+    matrix = draft.of(side, "K")
+    leading = np.zeros(0) if matrix is None or matrix.size not in (5, 6) else matrix[:-4]
+    distortion = distortion_of(draft, side)
+    if lens.model is not None and lens.is_ideal:
+        distortion = np.zeros(len(names) - lens.model.n_intrinsics)
+    if distortion is None:
+        if not _may_be_ideal(draft, side, lens):
+            raise _without_distortion(draft, side, number)
+        distortion = np.zeros(0)
+    if lens.name == PINHOLE:
+        if lens.is_ideal or not distortion.size:
+            return np.zeros(0)
+        n_missing = max(4 - distortion.size, 0) if lens.model is None else 0
+        return np.append(distortion, np.zeros(n_missing))
+    return _of_wide_lens(draft, side, lens.name, np.append(leading, distortion))
+
+
+def _may_be_ideal(draft: RigDraft, side: Side, lens: StatedLens) -> bool:
+    """Whether a camera without coefficients is one of undistorted images, by its kind of file."""
+    is_of_parallel_pair = draft.dialect.is_rectified or draft.pair_has("baseline", "bf")
+    states_terms = lens.model is not None and any(
+        "distort" in key for key in draft.stated_models(side)
+    )
+    is_ideal_without = draft.dialect.is_ideal_without and not states_terms
+    return is_of_parallel_pair or is_ideal_without or draft.is_undistorted
+
+
+def _of_wide_lens(draft: RigDraft, side: Side, lens: str, coefficients: FloatArray) -> FloatArray:
+    """As many coefficients as a lens has; RigError for another number."""
+    names = LENSES.named(lens).coefficients
+    n_missing = len(names) - coefficients.size
+    is_by_name = draft.get(side, "D") is None  # of which files leave out those that are 0
+    if n_missing > 0 and is_by_name and draft.dialect.is_ideal_without:
+        return np.append(coefficients, np.zeros(n_missing))
+    if n_missing > 0 or coefficients[len(names) :].any():
+        raise RigError(
+            f"{draft.path}: expected {len(names)} coefficients ({' '.join(names)}) of the lens model "
+            f"{lens}, which the file states, in {_key(draft, side, 'D')}, found {coefficients.size}; "
+            "give all of them."
+        )
+    return coefficients[: len(names)]
+
+
+def _without_distortion(draft: RigDraft, side: Side, number: int) -> RigError:
+    """The error of a camera without coefficients; zeros are advised only where the file has none of any
+    kind.
+    """
+    expected = (
+        f"{draft.path}: expected the distortion coefficients D{number} of the camera "
+        f"{shortened(_name(draft, side, number), 40)}, found"
+    )
+    if draft.unread:
+        return RigError(
+            f"{expected} {shortened(', '.join(draft.unread), 60)}, which are not understood; write "
+            "OpenCV's k1, k2, p1, p2, k3 as D1, or a rig.yaml (track-range rig template FILE)."
+        )
+    return RigError(f"{expected} none; write zeros for undistorted images.")
 
 
 def incomplete(draft: RigDraft, missing: list[str]) -> RigError:
@@ -53,12 +128,20 @@ def incomplete(draft: RigDraft, missing: list[str]) -> RigError:
 def shaped(stated: Stated, shape: tuple[int, ...], name: str) -> FloatArray:
     """The numbers of a value in this shape; RigError for another number of numbers."""
     values: FloatArray = stated.value
+    if shape == (3, 3) and values.size == 12:  # with a column of zeros
+        values = values.reshape(3, 4)[:, :3]
     if values.size != np.prod(shape):
         raise RigError(
             f"{stated.path}: expected {np.prod(shape)} numbers in {name}, found {values.size}; "
             "calibrate again."
         )
     return values.reshape(shape)
+
+
+def _key(draft: RigDraft, side: Side, quantity: str) -> str:
+    """The key of a value, for messages."""
+    stated = draft.get(side, quantity)
+    return quantity if stated is None else stated.key
 
 
 def _name(draft: RigDraft, side: Side, number: int) -> str:
@@ -70,8 +153,8 @@ def _name(draft: RigDraft, side: Side, number: int) -> str:
 def matrix_of(draft: RigDraft, side: Side, number: int) -> FloatArray | None:
     """(3, 3) camera matrix, with pixels counted from 0; None if it is incomplete."""
     stated = draft.get(side, "K")
-    if stated is None or stated.value.size == 4:
-        numbers = of_scalars(draft, side) if stated is None else stated.value
+    if stated is None or stated.value.size in (4, 5, 6):  # Kalibr's begin with those of the lens
+        numbers = of_scalars(draft, side) if stated is None else stated.value[-4:]
         if numbers is None:
             return None
         fx, fy, cx, cy = numbers
@@ -82,6 +165,16 @@ def matrix_of(draft: RigDraft, side: Side, number: int) -> FloatArray | None:
     is_transposed = matrix[2, 0] and matrix[2, 1] and not (matrix[0, 2] or matrix[1, 2])
     if is_transposed:
         matrix = matrix.T.copy()
+    if draft.dialect.convention is not None:
+        numbers = matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
+        size = stated_size(draft, side, numbers[2:])
+        if size is None:
+            raise RigError(
+                f"{draft.path}: expected the size of the images, found none; {draft.dialect.title} "
+                "needs its width and height."
+            )
+        numbers = draft.dialect.convention(numbers, np.asarray(size, np.float64))
+        matrix[[0, 1, 0, 1], [0, 1, 2, 2]] = numbers
     matrix[:2, 2] -= 1.0 if is_transposed else draft.dialect.first_pixel
     if not np.array_equal(matrix[2], (0.0, 0.0, 1.0)):
         raise RigError(
@@ -98,6 +191,8 @@ def of_scalars(draft: RigDraft, side: Side) -> FloatArray | None:
     centre = draft.of(side, "centre")
     if fx is None:
         return None
+    b1 = draft.of(side, "b1")
+    fx = fx if b1 is None else np.array([fx[0] + b1[0], fx[0]])
     focal = [fx[0], fx[-1] if fy is None else fy[0]]
     if centre is not None:
         return np.array([*focal, *centre])
@@ -111,67 +206,107 @@ def distortion_of(draft: RigDraft, side: Side) -> FloatArray | None:
     by their names.
     """
     distortion = draft.of(side, "D")
+    if distortion is not None and distortion.size == 3:
+        if not draft.dialect.has_radial_only:
+            raise RigError(
+                f"{draft.path}: expected 4, 5, 8, 12 or 14 distortion coefficients, found 3, which may "
+                "be k1 k2 k3 or k1 k2 p1; write k1, k2, p1, p2, k3, with zeros for missing ones."
+            )
+        return np.array([*distortion[:2], 0.0, 0.0, distortion[2]])
     if distortion is not None:
-        n_missing = max(4 - distortion.size, 0)
-        return np.append(distortion, [0.0] * n_missing) if n_missing else np.asarray(distortion)
+        return np.asarray(distortion)
     radial, tangential = draft.of(side, "radial"), draft.of(side, "tangential")
     if radial is not None:
         if tangential is None:
             tangential = np.zeros(2)
+        radial = np.append(radial, np.zeros(max(2 - radial.size, 0)))
         return np.array([*radial[:2], *tangential, *radial[2:]])
     numbers = {name: draft.of(side, name) for name in COEFFICIENTS}
     values = {name: float(number[0]) for name, number in numbers.items() if number is not None}
     if not values:
         return None
-    return np.array([values.get(name, 0.0) for name in _names_in_order(values)])
+    if has_fisheye_names(draft, side) and "k5" in values and "k1" not in values:
+        values = {f"k{n}": values.get(f"k{n + 1}", 0.0) for n in range(1, 5)}  # camodocal's
+    if draft.dialect.is_tangential_swapped:
+        values |= {"p1": values.get("p2", 0.0), "p2": values.get("p1", 0.0)}
+    if draft.dialect.has_radial_k4 and not has_fisheye_names(draft, side):
+        values.pop("k4", None)
+    return np.array([values.get(name, 0.0) for name in _names_in_order(draft, side, values)])
 
 
-def _names_in_order(values: dict[str, float]) -> tuple[str, ...]:
+def _names_in_order(draft: RigDraft, side: Side, values: dict[str, float]) -> tuple[str, ...]:
     """Names of the coefficients of the lens model that has these values."""
-    if "k4" in values and "p1" not in values and "k5" not in values:  # Kannala-Brandt
+    if has_fisheye_names(draft, side):
         return ("k1", "k2", "k3", "k4")
     if any(values.get(name) for name in ("k4", "k5", "k6")):
         return COEFFICIENTS
     return COEFFICIENTS[:5] if "k3" in values else COEFFICIENTS[:4]
 
 
-def lens_of(draft: RigDraft) -> tuple[bool, tuple[str, ...]]:
-    """Whether the lens is OpenCV's fisheye model, as the file states, or by four coefficients and
-    the field of view; with a note in the latter case.
+def has_fisheye_names(draft: RigDraft, side: Side) -> bool:
+    """Whether the lens is OpenCV's fisheye model, as stated, or by the names of its coefficients."""
+    stated = stated_lens(draft.stated_models(side), draft.path)
+    if stated is not None:
+        return stated[0] == KANNALA_BRANDT
+    has_k4, has_p1, has_k5 = (draft.of(side, name) is not None for name in ("k4", "p1", "k5"))
+    return has_k4 and not has_p1 and not has_k5
+
+
+def lens_of(draft: RigDraft, side: Side) -> StatedLens:
+    """The lens model of a camera, as the file states, or by its coefficients and the field of view,
+    with a note in the latter case.
     """
-    side = draft.pair[0]
-    flag = draft.of(None, "fisheye")
-    if flag is not None:
-        return bool(flag.any()), ()
-    if _has_fisheye_names(draft, side):
-        return True, ()
-    distortion = distortion_of(draft, side)
-    matrix = draft.of(side, "K")
-    has_four = distortion is not None and distortion.size == 4
-    if not has_four or matrix is None or matrix.size != 9:
-        return False, ()
-    if not _name(draft, side, 1).startswith("K"):
-        return False, ()
-    fx, cx = matrix[0], matrix[2]
+    stated = stated_lens(draft.stated_models(side), draft.path)
+    if stated is not None:
+        return StatedLens(stated[0], model=stated[1])
+    if has_fisheye_names(draft, side):
+        return StatedLens(KANNALA_BRANDT)
+    distortion = draft.of(side, "D")
+    matrix = matrix_of(draft, side, 1)
+    if distortion is None or distortion.size != 4 or matrix is None:
+        return StatedLens(PINHOLE)
+    fx, cx = matrix[0, 0], matrix[0, 2]
     is_wide = bool(2 * cx > _FISHEYE_RAD * fx)
+    is_named_k = _name(draft, side, 1).startswith("K")
+    if not (is_wide or is_named_k):
+        return StatedLens(PINHOLE)
+    is_fisheye = is_wide and is_named_k
     lens, other = (
-        ("OpenCV's fisheye model", 0) if is_wide else ("k1, k2, p1, p2 of a usual lens", 1)
+        ("OpenCV's fisheye model", 0) if is_fisheye else ("k1, k2, p1, p2 of a usual lens", 1)
     )
     note = (
-        f"{draft.path}: the four coefficients are read as {lens}, because of the field of view of "
+        f"{draft.path}: the four coefficients are read as {lens}, "
+        f"{'because of the' if is_fisheye == is_wide else 'at a'} field of view of "
         f"{math.degrees(2 * math.atan(cx / fx)):.0f} degrees; if this is wrong, add fisheye_model: "
         f"{other}."
     )
-    return is_wide, (note,)
+    return StatedLens(KANNALA_BRANDT if is_fisheye else PINHOLE, (note,))
 
 
-def _has_fisheye_names(draft: RigDraft, side: Side) -> bool:
-    """Whether the model is called a fisheye, or the coefficients have the names of one."""
-    model = str(draft.of(side, "model") or "").lower()
-    if model == "kb" or any(word in model for word in _FISHEYE_MODELS):
-        return True
-    has_k4, has_p1, has_k5 = (draft.of(side, name) is not None for name in ("k4", "p1", "k5"))
-    return has_k4 and not has_p1 and not has_k5
+def camera_notes(draft: RigDraft, side: Side) -> tuple[str, ...]:
+    """Notes on what the file does not state about a camera, and what a camera here does not have."""
+    matrix, skew = draft.get(side, "K"), draft.of(side, "skew")
+    k4, p1, p2 = (draft.of(side, name) for name in ("k4", "p1", "p2"))
+    is_fisheye = has_fisheye_names(draft, side)
+    is_k4_left_out = draft.dialect.has_radial_k4 and not is_fisheye and k4 is not None
+    sentences = {
+        f"assumed: {draft.dialect.assumption}.": bool(draft.dialect.assumption),
+        f"{_key(draft, side, 'K')}, of the images as recorded, is used; for undistorted images write "
+        "a rig.yaml with the other matrix and without distortion.": matrix is not None
+        and "original" in matrix.key.lower(),
+        f"the skew of {_text(skew)} px is left out.": skew is not None
+        and abs(skew[0]) > _MIN_SKEW_PX,
+        f"k4, {_text(k4)}, is the coefficient of r^8 here, which OpenCV's model does not have, and "
+        "is left out; only the corners of the images need it.": is_k4_left_out and bool(k4[0]),
+        "p1 and p2 are left out, which OpenCV's fisheye model does not have.": is_fisheye
+        and any(value is not None and value[0] for value in (p1, p2)),
+    }
+    true = (f"{draft.path}: {sentence}" for sentence, is_true in sentences.items() if is_true)
+    return (*lens_of(draft, side).notes, *true)
+
+
+def _text(numbers: FloatArray | None) -> str:
+    return "" if numbers is None else f"{numbers[0]:.4g}"
 
 
 def stated_size(draft: RigDraft, side: Side, centre: FloatArray) -> FloatArray | None:
@@ -186,7 +321,8 @@ def stated_size(draft: RigDraft, side: Side, centre: FloatArray) -> FloatArray |
     if width is not None and height is not None:
         return np.array([width.value[0], height.value[0]])
     if size is None:
-        return None
+        named = _SIZE.search(draft.name_of(side))
+        return None if named is None else np.array([float(number) for number in named.groups()])
     if size.is_assumed:
         return np.asarray(size.value)
     either = size.value[[0, 1]], size.value[[1, 0]]  # or rows and columns, as MATLAB's and NumPy's

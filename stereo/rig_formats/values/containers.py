@@ -12,6 +12,7 @@ import json
 import re
 import zipfile
 from collections import Counter
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -30,6 +31,14 @@ from track_range.foundation.files.input_files import (
 from track_range.foundation.files.structured_text import parse_json, parse_yaml
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.rig_formats.values.mat_file import MARK, MatFile
+from track_range.stereo.rig_formats.values.tables import (
+    BASALT,
+    MRCAL,
+    MRCAL_INPUTS,
+    TABLES,
+    of_basalt,
+    of_mrcal,
+)
 
 EXPECTED = "a calibration"
 MAX_NUMBERS = 196  # largest number of numbers in a matrix of a calibration: 14 x 14
@@ -52,7 +61,15 @@ _BINARY = (  # begins of the content, what it is, what to do
     ((b"SVO",), "a recording of a ZED", "give its factory calibration, SN followed by the serial number, .conf"),
     ((b"\x89MCAP", b"#ROSBAG"), "a bag", "give the bag as the recording; its camera_info is read from there"),
     ((b"\x1f\x8b",), "a gzip archive", "unpack it first"),
+    ((b"ARROW1", b"PAR1"), "a table of Arrow or Parquet, such as Argoverse 2's intrinsics.feather",
+     "write its rows as JSON with pandas: read_feather(FILE).set_index('sensor_name').to_json(OUT, orient='index')"),
     ((b"%PDF",), "a document", "type its numbers into a rig.yaml (track-range rig template FILE)"),
+)  # fmt: skip
+# marks in the text of kinds whose conventions differ between versions, what they are, what to do
+_REFUSED = (
+    (re.compile(r'"pxInitialFocalLength"|"intrinsicId"'), "the sfmData of AliceVision (Meshroom), whose "
+     "principal points and focal lengths have other meanings in each version",
+     "export the scene to COLMAP and give cameras.txt, or type its numbers into a rig.yaml"),
 )  # fmt: skip
 _LARGE = re.compile(r"(data:\s*\[|<data>|\"data\":\s*\[)[^\]<]{4000,}")  # numbers of large matrices
 _YAML_HEAD = re.compile(r"\A\s*%YAML[^\n]*\n|!!opencv-[a-z-]+|^(?:---|\.\.\.)[ \t]*$", re.MULTILINE)
@@ -69,10 +86,6 @@ _ASSIGNMENT = re.compile(
     r"(\[[-+\d.eE,;\s\[\]]*\]|[-+]?\d[\d.]*(?:[eE][-+]?\d+)?)",
     re.MULTILINE,
 )
-_WORD = r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d{1,3})?"
-# of FoundationStereo
-K_AND_BASELINE = re.compile(rf"\A\s*(?:{_WORD}[ \t]+){{8}}{_WORD}[ \t]*\n\s*{_WORD}\s*\Z")
-VIRTUAL_KITTI = re.compile(r"\A\s*frame\s+cameraID\s+K\[0,0\]")  # head of its intrinsic.txt
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?")
 
 
@@ -102,6 +115,9 @@ def calibration_text(path: Path) -> str:
         raise RigError(
             f"{path}: expected {EXPECTED} of at most {MAX_TEXT_BYTES // 1_000_000} MB, found more."
         )
+    for pattern, noun, advice in _REFUSED:
+        if pattern.search(text):
+            raise RigError(f"{path}: expected {EXPECTED}, found {noun}; {advice}.")
     return text
 
 
@@ -110,17 +126,20 @@ def plain_values(text: str, path: Path, expected: str = EXPECTED) -> dict[str, A
     broken syntax.
     """
     start = text.lstrip()[:1]
-    if K_AND_BASELINE.match(text):
-        numbers = [float(word) for word in text.split()]
-        return {"K": numbers[:9], "baseline": numbers[9]}
-    if VIRTUAL_KITTI.match(text):
-        rows = [line.split() for line in text.splitlines() if line.strip()][1:2]
-        names = ("frame", "camera", "fx", "fy", "cx", "cy")
-        return {name: word for row in rows for name, word in zip(names, row, strict=False)}
+    for pattern, named in TABLES:
+        if pattern.search(text):
+            return named(text)
     if start == "<":
         return _xml_values(text, path, expected)
-    if start == "{":
+    if MRCAL.search(text):
+        values = parse_yaml(MRCAL_INPUTS.sub("", text), path, RigError, expected)
+        return _of_places(of_mrcal, values, path, expected)
+    if re.match(r"\s*(?:\[\s*)?\{", text):
         values = parse_json(text, path, RigError, expected)
+        if isinstance(values, list) and len(values) == 1:  # OpenSfM's reconstruction.json
+            values = values[0]
+        if BASALT.search(text):
+            return _of_places(of_basalt, values, path, expected)
     elif _SECTION.search(text) and not _KEY.search(text):
         return _section_values(text)
     elif not text.lstrip().startswith("%YAML") and (values := _assigned_values(text)):
@@ -133,6 +152,19 @@ def plain_values(text: str, path: Path, expected: str = EXPECTED) -> dict[str, A
             f"K1 and D1), found {quoted(values)}; track-range rig template FILE writes a rig.yaml with blanks."
         )
     return values
+
+
+def _of_places(
+    named: Callable[[Mapping[str, Any]], dict[str, Any]], values: Any, path: Path, expected: str
+) -> dict[str, Any]:
+    """The values of a file by name; RigError if some are missing, or are in other places."""
+    try:
+        return named(values)
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        raise RigError(
+            f"{path}: expected {expected} with all values of its kind, found an error at "
+            f"{shortened(str(error), 60)}; give the complete file."
+        ) from error
 
 
 def yaml_of_opencv(text: str) -> str:
@@ -166,10 +198,13 @@ def _section_values(text: str) -> dict[str, Any]:
         if match := _SECTION.fullmatch(line):
             section = values.setdefault(match[1].strip(), {})
         elif "=" in line and not line.lstrip().startswith(("#", ";")):
-            key, _, value = line.partition("=")
-            section[key.strip()] = (
-                float(value) if _NUMBER.fullmatch(value.strip()) else value.strip()
-            )
+            key, _, value = line.partition("//")[0].partition("=")  # MRPT's comments
+            numbers = [float(word) for word in _NUMBER.findall(value)]
+            if value.strip().startswith("["):
+                section[key.strip()] = numbers
+            else:
+                is_number = _NUMBER.fullmatch(value.strip()) is not None
+                section[key.strip()] = numbers[0] if is_number else value.strip()
     return top | values
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, Field, TypeAdapter, ValidationError
@@ -14,13 +17,21 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted, shortened
 from track_range.foundation.schemas.validation import Integer, Number, validated
 from track_range.stereo.geometry.rig import RigError
-from track_range.stereo.rig_formats.values.aliases import Quantity, Side, meaning
+from track_range.stereo.rig_formats.values.aliases import (
+    Meaning,
+    Quantity,
+    Side,
+    meaning,
+    side_around,
+    side_of_name,
+)
 from track_range.stereo.rig_formats.values.containers import (
     MAX_NUMBERS,
     calibration_text,
     plain_values,
 )
 from track_range.stereo.rig_formats.values.dialect import PLAIN, Dialect
+from track_range.stereo.rig_formats.values.lens_models import is_fisheye, states_model
 from track_range.stereo.rig_formats.values.stated import (
     Place,
     Stated,
@@ -31,11 +42,25 @@ from track_range.stereo.rig_formats.values.stated import (
 
 # keys with words of cameras of other images than the recorded ones
 _OTHER_SET = ("rectified", "optimal", "new", "undistort")
+# of the blocks of several cameras, names that are none of a camera
+_NO_CAMERA = re.compile(
+    r"(?:cameras?|cams?|intrinsics?|extrinsics?|calib(?:ration)?|param(?:eter)?s|sensors?|data)"
+)
+_WORD_OF_SIDE = re.compile(r"(?<![a-z])(left|right)(?![a-z])")
+_FLAGS = dict.fromkeys(("true", "yes", "on", "1", "1.0"), True) | dict.fromkeys(
+    ("false", "no", "off", "0", "0.0"), False
+)
+_PATH = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)+")  # Camera.fx
+# blocks with the poses of images, which are none of cameras of a pair
+_OF_IMAGES = {"shots", "views", "frames", "poses", "images", "structure"}
+# parts of the names of values of a distortion or lens
+_OF_DISTORTION = re.compile(r"dist(?!ance|rib)|coef|radial|tangential|fisheye|\bk[1-6]\b|\bp[12]\b")
 # keys whose values are those of a quantity in any number, so that a wrong number is an error
 _EXACT_KEYS = (
     *("M1", "D1", "M2", "D2", "K1", "K2", "R", "T"),
     *("camera_matrix", "distortion_coefficients"),
 )
+_EXACT_PARTS = ("intrinsics", "resolution")  # the same, of cameras
 
 _MAX_SIDE = 14  # largest number of rows or columns; OpenCV has at most 14 distortion coefficients
 _Value = Annotated[Number, Field(ge=-1e12, le=1e12)]  # products of larger ones would overflow
@@ -67,11 +92,19 @@ class RigDraft:
     keys: tuple[str, ...]  # names of all values of the files, in their order
     beside: tuple[Path, ...] = ()  # the files that complete it
     dialect: Dialect = PLAIN
+    # texts that state the lens model of a side, by key
+    models: Mapping[Side, Mapping[str, str]] = field(default_factory=dict)
+    names: Mapping[Side, str] = field(default_factory=dict)  # of the cameras' blocks, by side
+    unread: tuple[str, ...] = ()  # keys of a distortion whose values are none of `Quantity`
+    is_undistorted: bool = False  # whether the file states that its cameras are of such images
 
     def get(self, side: Side, quantity: str, *, is_own: bool = False) -> Stated | None:
         """The value of a side, else that of both sides unless `is_own`; None if there is none."""
         stated = self.stated.get((side, quantity))
-        return self.stated.get((None, quantity)) if stated is None and not is_own else stated
+        is_of_another = (None, "K") in self.stated or (None, "fx") in self.stated
+        if stated is not None or is_own or (side in self.names and is_of_another):
+            return stated
+        return self.stated.get((None, quantity))
 
     def of(self, side: Side, quantity: str) -> Any:
         """The content of `get`."""
@@ -98,9 +131,12 @@ class RigDraft:
         """
         named = {side for side, quantity in self.stated if quantity in ("K", "fx", "P")}
         words: list[Side] = [side for side in ("left", "right") if side in named]
-        if len(words) == 2:
+        if len(words) == 2 and not self.names:
             return words
-        return [*words, *sorted(side for side in named if isinstance(side, int))]
+        numbers: list[Side] = [*sorted(side for side in named if isinstance(side, int))]
+        unnumbered = named - {*words, *numbers}
+        others = [side for side in self.names if side in unnumbered]
+        return [*words, *numbers, *others]
 
     @property
     def has_two_cameras(self) -> bool:
@@ -137,13 +173,26 @@ class RigDraft:
             stated=merged(self.stated, other.stated),
             keys=tuple(dict.fromkeys((*self.keys, *other.keys))),
             beside=(*self.beside, other.path, *other.beside),
+            models={**other.models, **self.models},
+            names={**other.names, **self.names},
+            unread=(*self.unread, *other.unread),
         )
 
     def of_one_side(self, side: str) -> RigDraft:
         """The draft of a file of one camera, assigned to a side."""
-        return replace(
-            self, stated={(side, quantity): value for (_, quantity), value in self.stated.items()}
-        )
+        stated: dict[Place, Stated] = {
+            (side, quantity): value for (_, quantity), value in self.stated.items()
+        }
+        models = {key: text for stated in self.models.values() for key, text in stated.items()}
+        return replace(self, stated=stated, models={side: models}, names={})
+
+    def name_of(self, side: Side) -> str:
+        """The name of a camera, as for --camera."""
+        return self.names.get(side) or (f"camera{side}" if isinstance(side, int) else str(side))
+
+    def stated_models(self, side: Side) -> dict[str, str]:
+        """The texts that state the lens model of a camera, by key."""
+        return {**self.models.get(None, {}), **self.models.get(side, {})}
 
 
 def read_draft(path: Path) -> RigDraft:
@@ -155,9 +204,10 @@ def draft_of(content: Mapping[str, Any], path: Path, dialect: Dialect = PLAIN) -
     """The draft of the plain values of a file, and those that are assumed for its dialect; raises
     RigError for a matrix of OpenCV that is damaged, or for values that contradict one another.
     """
-    assumed = _stated_values(dialect.assumed, path)
-    stated = {place: value._replace(key="") for place, value in assumed.items()}
-    stated |= _stated_values(content, path)
+    of_dialect = _Leaves(dialect.assumed, path)
+    stated = {place: value._replace(key="") for place, value in of_dialect.values().items()}
+    leaves = _Leaves(content, path)
+    stated |= leaves.values()
     q = stated.get((None, "Q"))
     if q is not None and not any(quantity in ("K", "fx", "P") for _, quantity in stated):
         rectified = _of_reprojection(q.value)
@@ -166,26 +216,174 @@ def draft_of(content: Mapping[str, Any], path: Path, dialect: Dialect = PLAIN) -
         )
     for side in dict.fromkeys(side for side, quantity in stated if quantity == "P"):
         is_rectified_alone = (side, "R") in stated and (side, "T") not in stated
-        if side is not None and is_rectified_alone:  # as in camera_info
+        is_of_one_camera = side is not None or not any(place[0] for place in stated)
+        if is_of_one_camera and is_rectified_alone:  # as in camera_info
             stated.setdefault((side, "rect"), stated.pop((side, "R")))
-    return RigDraft(path, stated, tuple(dict.fromkeys(_top_keys(content))), dialect=dialect)
+    return RigDraft(
+        path,
+        stated,
+        tuple(dict.fromkeys(_top_keys(content))),
+        dialect=dialect,
+        models=of_dialect.models() | leaves.models(),
+        names=leaves.names,
+        unread=leaves.unread(),
+        is_undistorted=leaves.is_undistorted,
+    )
 
 
-def _stated_values(content: Mapping[str, Any], path: Path) -> dict[Place, Stated]:
-    """The values whose keys name a quantity; of several, the `counting` one."""
-    stated: dict[Place, list[Stated]] = {}
-    for keys, value in _leaves(content, ()):
-        key = ".".join(keys)
-        understood = meaning(keys, sum(1 for _ in _flat(value)))
-        if understood is None or any(word in key.lower() for word in _OTHER_SET):
-            continue
-        place = understood.side, understood.quantity.name
-        if place in stated and not is_compared(understood.quantity.name):
-            continue
-        numbers = _value(value, understood.quantity, key, path)
-        if numbers is not None:
-            stated.setdefault(place, []).append(Stated(numbers, path, key, understood))
-    return {place: counting(values) for place, values in stated.items()}
+class _Leaf(NamedTuple):
+    """A value of a file that is no mapping."""
+
+    keys: tuple[str, ...]  # from the outside in
+    value: Any
+    meaning: Meaning | None
+
+    @property
+    def key(self) -> str:
+        """The keys with dots."""
+        return ".".join(self.keys)
+
+    @property
+    def quantity(self) -> str:
+        """The name of the quantity; "" = none."""
+        return "" if self.meaning is None else self.meaning.quantity.name
+
+
+class _Leaves:
+    """The values of a file, each with the camera that it belongs to."""
+
+    def __init__(self, content: Mapping[str, Any], path: Path) -> None:
+        self._path = path
+        everything = [
+            _Leaf(keys, value, meaning(keys, sum(1 for _ in _flat(value))))
+            for keys, value in _leaves(content, ())
+        ]
+        _check_region(everything, path)
+        recorded, self.is_undistorted = _of_recorded_images(everything)
+        self._leaves = [
+            leaf
+            for leaf in recorded
+            if not any(word in leaf.key.lower() for word in _OTHER_SET)
+            and not (_OF_IMAGES & {*leaf.keys} and leaf.quantity in ("R", "T", "transform"))
+        ]
+        self._depth, self._sides = _camera_blocks(self._leaves)
+        self.names = {side: name for name, side in self._sides.items()}
+
+    def _side(self, leaf: _Leaf, stated: Side) -> Side:
+        """The camera of a value that states this side: that of its block, if several have cameras."""
+        is_in_block = len(leaf.keys) > self._depth + 1
+        if not is_in_block or leaf.keys[self._depth] not in self._sides:
+            return stated
+        of_block = self._sides[leaf.keys[self._depth]]
+        if stated in (None, side_around(leaf.keys), of_block):
+            return of_block
+        self.names.setdefault(side := f"{of_block} {stated}", side)
+        return side
+
+    def values(self) -> dict[Place, Stated]:
+        """The values whose keys name a quantity; of several, the `counting` one."""
+        stated: dict[Place, list[Stated]] = {}
+        for leaf in self._leaves:
+            if leaf.meaning is None:
+                continue
+            place = self._side(leaf, leaf.meaning.side), leaf.quantity
+            if place in stated and not is_compared(leaf.quantity):
+                continue
+            numbers = _value(leaf.value, leaf.meaning.quantity, leaf.key, self._path)
+            if numbers is not None:
+                value = Stated(numbers, self._path, leaf.key, leaf.meaning)
+                stated.setdefault(place, []).append(value)
+        return {place: counting(values) for place, values in stated.items()}
+
+    def models(self) -> dict[Side, dict[str, str]]:
+        """The texts, flags and names of blocks that state a lens model, by side and key."""
+        models: dict[Side, dict[str, str]] = {}
+        for leaf in self._leaves:
+            texts: dict[str, str] = {}
+            if states_model(leaf.key, leaf.value):
+                texts[leaf.key] = leaf.value
+            elif leaf.quantity == "fisheye" and str(leaf.value).lower() in _FLAGS:
+                texts[leaf.key] = "fisheye" if _FLAGS[str(leaf.value).lower()] else "radtan"
+            elif leaf.quantity in ("K", "D"):  # fisheye: {K: ..., D: ...}
+                texts = {key: key for key in leaf.keys if is_fisheye(key)}
+            models.setdefault(self._side(leaf, side_around(leaf.keys)), {}).update(texts)
+        return {side: texts for side, texts in models.items() if texts}
+
+    def unread(self) -> tuple[str, ...]:
+        """The keys of a distortion."""
+        return tuple(
+            leaf.key
+            for leaf in self._leaves
+            if _OF_DISTORTION.search(leaf.key.lower())
+            and not isinstance(leaf.value, str | bool)
+            and leaf.value not in (None, [])
+        )
+
+
+def _check_region(leaves: Sequence[_Leaf], path: Path) -> None:
+    """Raise RigError if the values are those of a region of interest."""
+    for leaf in leaves:
+        if "roi" in leaf.keys and leaf.keys[-1] in ("x_offset", "y_offset") and leaf.value:
+            raise RigError(
+                f"{path}: expected the calibration of whole images, found a region of interest "
+                f"({leaf.key}: {quoted(leaf.value)}); give a rig.yaml of the cropped images."
+            )
+
+
+def _of_recorded_images(leaves: list[_Leaf]) -> tuple[list[_Leaf], bool]:
+    """The values without those of rectified or undistorted images beside those of recorded ones; and
+    whether all are of undistorted images, as the file states.
+    """
+    others = {
+        leaf.keys[:-1]
+        for leaf in leaves
+        if leaf.keys[-1] == "is_rectified" and _FLAGS.get(str(leaf.value).lower())
+    }
+    originals = {
+        (leaf.keys[:-1], leaf.quantity) for leaf in leaves if "original" in leaf.keys[-1].lower()
+    }
+    recorded = [
+        leaf
+        for leaf in leaves
+        if "roi" not in leaf.keys
+        and leaf.keys[:-1] not in others
+        and (
+            "original" in leaf.keys[-1].lower() or (leaf.keys[:-1], leaf.quantity) not in originals
+        )
+    ]
+    if others and not any(leaf.quantity in ("K", "fx") for leaf in recorded):
+        return leaves, True
+    return recorded, False
+
+
+def _camera_blocks(leaves: Sequence[_Leaf]) -> tuple[int, dict[str, Side]]:
+    """The place among the keys of the blocks of several cameras, and their sides by name; {} = the
+    file has no blocks that are each of one camera.
+
+    A block has a camera matrix, or a focal length and a principal point.
+    """
+    quantities: dict[tuple[str, ...], set[str]] = {}
+    for leaf in leaves:
+        quantities.setdefault(leaf.keys[:-1], set()).add(leaf.quantity)
+    blocks = [
+        keys
+        for keys, inside in quantities.items()
+        if "K" in inside or ("fx" in inside and inside & {"cx", "centre"})
+    ]
+    depth = sum(1 for _ in takewhile(lambda keys: len({*keys}) == 1, zip(*blocks, strict=False)))
+    names = dict.fromkeys(keys[depth] for keys in blocks if len(keys) > depth)
+    names = {name: None for name in names if not _NO_CAMERA.fullmatch(name.lower())}
+    if len(names) < 2:
+        return 0, {}
+    sides: dict[str, Side] = {}
+    for name in names:
+        words = _WORD_OF_SIDE.findall(name.lower().replace("_", " "))
+        sides[name] = side_of_name(name) if side_of_name(name) is not None else "".join(words)
+    counts = Counter(sides.values())
+    sides = {
+        name: side if side != "" and counts[side] == 1 else name for name, side in sides.items()
+    }
+    return depth, sides
 
 
 def _of_reprojection(q: FloatArray) -> dict[str, FloatArray]:
@@ -210,7 +408,7 @@ def _top_keys(content: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _is_matrix(value: object) -> bool:
-    return isinstance(value, dict) and "data" in value
+    return isinstance(value, dict) and not isinstance(value.get("data", {}), dict)
 
 
 def _leaves(value: object, keys: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
@@ -219,10 +417,12 @@ def _leaves(value: object, keys: tuple[str, ...]) -> Iterator[tuple[tuple[str, .
         yield keys, [value["x"], value["y"], value["z"]]
     elif isinstance(value, dict) and not _is_matrix(value):
         for key, part in value.items():
-            yield from _leaves(part, (*keys, *str(key).split(".")))
+            parts = str(key).split(".") if _PATH.fullmatch(str(key)) else [str(key)]
+            yield from _leaves(part, (*keys, *parts))
     elif isinstance(value, list) and value and all(isinstance(part, dict) for part in value):
         for number, part in enumerate(value):
-            yield from _leaves(part, (*keys, str(part.get("name", part.get("id", number)))))
+            named = (part[key] for key in ("name", "id", "key") if key in part)
+            yield from _leaves(part, (*keys, str(next(named, number))))
     elif keys:
         yield keys, value
 
@@ -234,7 +434,7 @@ def _value(value: Any, quantity: Quantity, key: str, path: Path) -> Any:
     # a large matrix
     if value is None or (isinstance(value, dict) and value.get("data") == [] and "rows" in value):
         return None
-    is_exact = key in _EXACT_KEYS
+    is_exact = _is_exact(key, value)
     if _is_matrix(value) and {"rows", "cols"} <= value.keys():
         numbers: FloatArray | None = _stored(value, f"{path}: {key}")
     else:
@@ -242,12 +442,20 @@ def _value(value: Any, quantity: Quantity, key: str, path: Path) -> Any:
     if numbers is None:
         if is_exact or _is_matrix(value):
             raise RigError(
-                f"{path}: {key}: expected numbers, found {quoted(value)}; calibrate again."
+                f"{path}: {key}: expected finite numbers, found {quoted(value)}; calibrate again."
             )
         return None
     if quantity.is_transposed and numbers.size in quantity.counts:
         numbers = numbers.reshape(3, 3).T.ravel()
+    if quantity.order and numbers.size in quantity.counts:
+        numbers = numbers[list(quantity.order)]
     return numbers if is_exact or numbers.size in quantity.counts else None
+
+
+def _is_exact(key: str, value: Any) -> bool:
+    """Whether a wrong number of numbers is an error."""
+    is_of_camera = isinstance(value, list) and "." in key and key.endswith(_EXACT_PARTS)
+    return key in _EXACT_KEYS or is_of_camera
 
 
 def _stored(value: dict[str, Any], name: str) -> FloatArray:

@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.geometry.rig import inverse_motion, rigid_motion
+from track_range.foundation.files.input_files import quoted
+from track_range.stereo.geometry.rig import RigError, inverse_motion, rigid_motion
 from track_range.stereo.rig_formats.values.aliases import Side
 from track_range.stereo.rig_formats.values.cameras import incomplete, shaped
 from track_range.stereo.rig_formats.values.draft import RigDraft
@@ -33,15 +34,11 @@ def motion_of(draft: RigDraft) -> PairMotion:
     """The transform by the quantities of a draft; RigError if they are incomplete."""
     transform = draft.get(None, "transform")
     if transform is not None:
-        rotation, translation = np.split(transform.value.reshape(-1, 4)[:3], [3], axis=1)
-        motion = _from_first(rigid_motion(rotation, translation), transform)
-        return PairMotion(motion, key=transform.key)
-    first, second = draft.pair
+        return PairMotion(_from_first(_rigid(transform), transform), key=transform.key)
     if not draft.pair_has("T"):
-        if draft.own(second, "T") is not None:  # a pose of each camera
-            return PairMotion(
-                np.asarray(_pose(draft, second) @ inverse_motion(_pose(draft, first)), np.float64)
-            )
+        first, second = (pose_of(draft, side) for side in draft.pair)
+        if first is not None and second is not None:
+            return PairMotion(np.asarray(second @ inverse_motion(first), np.float64))
         rectified = _motion_of_rectification(draft)
         if rectified is not None:
             return PairMotion(
@@ -52,6 +49,46 @@ def motion_of(draft: RigDraft) -> PairMotion:
         raise incomplete(draft, missing)
     stated = draft.get(None, "T")
     return PairMotion(motion_of_pair(draft), key="T" if stated is None else stated.key)
+
+
+def pose_of(draft: RigDraft, side: Side) -> FloatArray | None:
+    """(4, 4) transform from a frame that the cameras share to a camera: by its pose on a body, by R and
+    T of each camera, or by the transforms from the camera before it; None = unknown.
+    """
+    body = draft.get(side, "body", is_own=True)
+    if body is not None:
+        pose = _rigid(body)
+        return pose if body.meaning.is_inverse else inverse_motion(pose)
+    if any(draft.own(one, "T") is not None for one in draft.sides if one is not None):
+        is_moved = draft.own(side, "T") is not None
+        is_turned = draft.own(side, "R") is not None or draft.own(side, "rect") is not None
+        is_first = side == draft.sides[0] and not is_moved
+        return _pose(draft, side) if is_first or (is_moved and is_turned) else None
+    numbers = [one for one in draft.sides if isinstance(one, int)]
+    if not isinstance(side, int) or not any(_link(draft, one) for one in numbers):
+        return None
+    pose, number = np.eye(4), side
+    while (link := _link(draft, number)) is not None:
+        pose = np.asarray(pose @ _rigid(link))
+        number -= 1
+    return pose if number == numbers[0] else None
+
+
+def _link(draft: RigDraft, number: int) -> Stated | None:
+    """Kalibr's transform from the camera before a camera, T_cn_cnm1."""
+    stated = draft.get(number, "transform", is_own=True)
+    return stated if stated is not None and stated.key.endswith("T_cn_cnm1") else None
+
+
+def _rigid(stated: Stated) -> FloatArray:
+    """(4, 4) transform of 16 or 12 numbers."""
+    if not np.allclose(stated.value[12:], (0.0, 0.0, 0.0, 1.0)[: stated.value.size - 12]):
+        raise RigError(
+            f"{stated.path}: expected 0, 0, 0, 1 in the last row of {stated.key}, found "
+            f"{quoted(stated.value[12:].tolist())}; give the file unchanged."
+        )
+    rotation, translation = np.split(stated.value.reshape(-1, 4)[:3], [3], axis=1)
+    return rigid_motion(rotation, translation)
 
 
 def motion_of_pair(draft: RigDraft) -> FloatArray:

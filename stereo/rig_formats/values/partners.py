@@ -9,12 +9,14 @@ from pathlib import Path
 
 from track_range.stereo.rig_formats.values.draft import RigDraft, read_draft
 
-_SUFFIXES = (".yml", ".yaml", ".xml", ".json", ".npz", ".npy", ".txt", ".conf", ".mat")
+_SUFFIXES = (
+    *(".yml", ".yaml", ".xml", ".json", ".npz", ".npy", ".txt", ".conf", ".mat", ".cameramodel"),
+)
 _PAIRS = (
     *(("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("infra1", "infra2")),
     *(
         (f"{noun}{n}", f"{noun}{n + 1}")
-        for noun in ("cam", "camera", "cam_", "camera_")
+        for noun in ("cam", "camera", "cam_", "camera_", "cam-", "camera-")
         for n in (0, 1)
     ),
 )
@@ -27,7 +29,7 @@ _SIDE = re.compile("|".join(sorted(_OTHERS, key=len, reverse=True)))
 _LETTER = re.compile(r"([_.-])([lLrR])(?=[_.-]|$)")  # camera_L.yml
 _LETTERS = {"l": "r", "r": "l", "L": "R", "R": "L"}
 # names of files with R and T
-_EXTRINSIC = re.compile(r"extrin|stereo|relative|rt\b|pose", re.IGNORECASE)
+_EXTRINSIC = re.compile(r"extri|stereo|relative|rt\b|pose", re.IGNORECASE)
 _MAX_FILES = 50  # files of a folder that are looked at
 
 
@@ -78,8 +80,8 @@ def other_half(path: Path, *, is_intrinsic: bool) -> Path | None:
     """The file in the folder with the extrinsics for intrinsics, or the intrinsics for extrinsics;
     None if absent.
     """
-    own, other = ("intrinsic", "extrinsic") if is_intrinsic else ("extrinsic", "intrinsic")
-    stem = path.stem.replace(own, other) if own in path.stem else f"{other}s"
+    own, other = ("intri", "extri") if is_intrinsic else ("extri", "intri")
+    stem = path.stem.replace(own, other) if own in path.stem else f"{other}nsics"
     for candidate in (path.with_name(stem + suffix) for suffix in (path.suffix, *_SUFFIXES)):
         if candidate != path and candidate.is_file():
             return candidate
@@ -117,7 +119,7 @@ def completed(draft: RigDraft, *, is_pair: bool) -> RigDraft:
     has_cameras = draft.has("K", "fx")
     has_extrinsics = draft.has_extrinsics or draft.has("P", "baseline", "bf")
     is_single = has_cameras and len(draft.sides) < 2
-    if has_extrinsics != has_cameras and (not is_single or "intrinsic" in path.stem):
+    if has_extrinsics != has_cameras and (not is_single or "intri" in path.stem):
         return _with_other_half(draft, has_cameras=has_cameras)
     if is_pair and is_single and not has_extrinsics:
         partner = partner_of(path)

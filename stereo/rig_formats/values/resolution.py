@@ -11,17 +11,18 @@ MathWorks: stereoParameters, cameraIntrinsicsToOpenCV.)
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, inverse_motion, rigid_motion
-from track_range.stereo.geometry.rig_checks import RigCalibration
+from track_range.stereo.geometry.rig_checks import NamedCamera, RigCalibration
 from track_range.stereo.rig_formats.values.cameras import (
+    camera_notes,
     camera_of,
     incomplete,
-    lens_of,
     size_px_of,
 )
 from track_range.stereo.rig_formats.values.draft import RigDraft
@@ -30,14 +31,18 @@ from track_range.stereo.rig_formats.values.motions import (
     motion_of,
     motion_of_pair,
     offset_of,
+    pose_of,
     projections_of,
 )
 from track_range.stereo.rig_formats.values.units import unit_of
 
+_MOST_CAMERAS = 100  # of a file that are read; some list those of thousands of images
 
-def resolved(draft: RigDraft) -> RigCalibration:
+
+def resolved(draft: RigDraft, *, is_pair: bool) -> RigCalibration:
     """The cameras by projection matrices, by a baseline, alone, or by R and T; RigError if a part
-    is missing, or contradicts another one.
+    is missing, or contradicts another one. Cameras whose pair is not determined are `cameras` of the
+    result, of which the caller chooses.
     """
     if not draft.has("K", "fx", "P"):
         raise RigError(_unusable(draft))
@@ -47,13 +52,66 @@ def resolved(draft: RigDraft) -> RigCalibration:
     has_matrices = any(draft.of(side, "K") is not None for side in draft.sides[:2] or [None])
     if projections is not None and not has_matrices:
         return _of_projections(draft, projections)
-    left = camera_of(draft, 0)
+    if draft.has_two_cameras and not _is_pair(draft):
+        return _of_several(draft)
+    try:
+        return _related(draft, has_projections=projections is not None)
+    except RigError:
+        if is_pair or not (draft.has_two_cameras or draft.has_extrinsics):
+            raise
+        return _of_several(draft)  # one camera needs no pair
+
+
+def _is_pair(draft: RigDraft) -> bool:
+    """Whether the files have the relation of two cameras, and these are a left and a right one, or the
+    only ones.
+    """
+    is_related = draft.has_extrinsics or draft.has("P", "body", "baseline", "bf")
+    n_numbered = sum(isinstance(side, int) for side in draft.sides)
+    is_only_pair = draft.sides[:2] == ["left", "right"] or n_numbered == 2 or len(draft.sides) == 2
+    return is_related and is_only_pair
+
+
+def _related(draft: RigDraft, *, has_projections: bool) -> RigCalibration:
+    """The only camera, or the pair of a baseline or of R and T."""
+    first, second = draft.pair
+    left = camera_of(draft, first, 1)
     baseline = _baseline(draft, left)
-    if baseline is not None and not draft.has_extrinsics and projections is None:
+    if baseline is not None and not draft.has_extrinsics and not has_projections:
         return _of_baseline(draft, left, *baseline)
-    if not draft.has_extrinsics and not draft.has_two_cameras:
-        return RigCalibration(left, None, None, notes=lens_of(draft)[1])
-    return _of_transform(draft, left)
+    if not draft.has_two_cameras and not draft.has("T"):  # a pose of one camera is of no pair
+        return RigCalibration(left, None, None, notes=camera_notes(draft, first))
+    rig = _of_transform(draft, left)
+    if not draft.names:
+        return rig
+    names = [draft.name_of(side) for side in (first, second)]
+    named = zip(names if rig.left is left else names[::-1], rig.known_cameras, strict=True)
+    pair = tuple(known._replace(name=name) for name, known in named)
+    others = tuple(
+        one._replace(pose=None) for one in _of_several(draft).cameras if one.name not in names
+    )
+    return replace(rig, cameras=(*pair, *others))
+
+
+def _of_several(draft: RigDraft) -> RigCalibration:
+    """The cameras of a file, each by itself, with their poses if the file has them."""
+    cameras = [
+        NamedCamera(
+            draft.name_of(side),
+            camera_of(draft, side, number),
+            pose_of(draft, side),
+            camera_notes(draft, side),
+        )
+        for number, side in enumerate(draft.sides[:_MOST_CAMERAS] or [None], 1)
+    ]
+    positions = [inverse_motion(one.pose)[:3, 3] for one in cameras if one.pose is not None]
+    lengths = [float(np.linalg.norm(a - b)) for a, b in pairwise(positions)]
+    length = min((length for length in lengths if length), default=0.0)
+    if length:
+        unit = unit_of(draft, length)
+        note = f"{draft.path}: {draft.title}: lengths are {unit.reason}."
+        cameras = [one.scaled(unit.metres, note) for one in cameras]
+    return RigCalibration(cameras[0].camera, None, None, cameras=tuple(cameras))
 
 
 def stated_motion(draft: RigDraft) -> FloatArray | None:
@@ -97,14 +155,12 @@ def _baseline(draft: RigDraft, left: PinholeCamera) -> tuple[float, str] | None:
 
 def _of_baseline(draft: RigDraft, left: PinholeCamera, baseline: float, key: str) -> RigCalibration:
     """The pair of parallel cameras with this baseline of a key, in the unit of the file."""
-    right = camera_of(draft, 1) if draft.has_two_cameras else left
+    first, second = draft.pair
+    right = camera_of(draft, second, 2) if draft.has_two_cameras else left
     is_rectified = draft.dialect.is_rectified or not left.is_distorted
     images = "rectified images" if is_rectified else "parallel cameras"
     rig = _parallel(draft, [left, right], (baseline, key), draft.title, images)
-    notes = (*rig.notes, *lens_of(draft)[1])
-    if draft.dialect.assumption:
-        notes = (*notes, f"{draft.path}: assumed: {draft.dialect.assumption}.")
-    return replace(rig, notes=notes)
+    return replace(rig, notes=(*rig.notes, *camera_notes(draft, first)))
 
 
 def _parallel(
@@ -130,7 +186,8 @@ def _parallel(
 def _of_transform(draft: RigDraft, left: PinholeCamera) -> RigCalibration:
     """The pair of cameras by R and T."""
     stated = motion_of(draft)
-    right = camera_of(draft, 1)
+    first, second = draft.pair
+    right = camera_of(draft, second, 2)
     length = float(np.linalg.norm(stated.matrix[:3, 3]))
     unit = unit_of(draft, length, stated.key)
     motion = checked_with_rectification(draft, stated)
@@ -144,7 +201,11 @@ def _of_transform(draft: RigDraft, left: PinholeCamera) -> RigCalibration:
         left,
         right,
         rigid_motion(motion.matrix[:3, :3], motion.matrix[:3, 3] * unit.metres),
-        notes=(f"{draft.path}: {draft.title}: {baseline}.", *lens_of(draft)[1], *motion.notes),
+        notes=(
+            f"{draft.path}: {draft.title}: {baseline}.",
+            *camera_notes(draft, first),
+            *motion.notes,
+        ),
         metres_per_unit=unit.metres,
         unit_doubt=doubt if unit.is_doubtful else "",
     )

@@ -195,7 +195,7 @@ def _prior(path: Path, drive: DriveVideo) -> tuple[CameraEstimate, float | None]
         raise UsageError(
             f"{path}: expected a pinhole camera, found a wide lens, which drives do not calibrate."
         )
-    content = read_calibration(path, is_grey=False, is_pair=False)
+    content = read_calibration(path, is_grey=False, is_pair=False, size_px=drive.size_px)
     road, stated = content.road, content.road or content.accuracy
     sigma = _UNSTATED_SIGMA if stated is None else stated.focal_sigma
     focal = FocalGuess(camera.fx_px, max(sigma, 1e-3), str(path.name))

@@ -34,6 +34,15 @@ _Unit = Annotated[
 ]
 
 
+_Camera = Annotated[
+    tuple[str, ...],
+    option(
+        "In a file of several cameras, the name of one, or of the left and the right one.",
+        metavar="NAME|LEFT,RIGHT",
+    ),
+]
+
+
 class ConvertOptions(Options):
     """Options of `track-range rig convert`."""
 
@@ -53,6 +62,7 @@ class ConvertOptions(Options):
     ] = "ours"
     size: _Size = None
     unit: _Unit = None
+    camera: _Camera = ()
 
 
 class ShowOptions(Options):
@@ -63,6 +73,7 @@ class ShowOptions(Options):
     ]
     size: _Size = None
     unit: _Unit = None
+    camera: _Camera = ()
 
 
 class TemplateOptions(Options):
@@ -89,13 +100,16 @@ def _convert(options: ConvertOptions) -> None:
         )
     size_px = _size_of(options.size)
     calibration, loading_notes = reading.load_calibration(
-        source, size_px=size_px, metres_per_unit=_unit_of(options.unit)
+        source,
+        size_px=size_px,
+        metres_per_unit=_unit_of(options.unit),
+        cameras=options.camera,
     )
     camera = calibration.left if isinstance(calibration, StereoRig) else calibration
     if not camera.width_px:
         raise RigError(f"{source}: expected an image size, found none; give --size WIDTHxHEIGHT.")
     content, notes = (
-        reading.read_calibration(source, is_grey=False, is_pair=False),
+        reading.content_of(source, is_grey=False, is_pair=False),
         list(loading_notes),
     )
     shift_m = float(
@@ -142,9 +156,11 @@ def _show(options: ShowOptions) -> None:
         _unit_of(options.unit),
     )
     calibration, notes = reading.load_calibration(
-        source, size_px=size_px, metres_per_unit=metres_per_unit
+        source, size_px=size_px, metres_per_unit=metres_per_unit, cameras=options.camera
     )
-    content = reading.read_calibration(source, is_grey=False, is_pair=True).in_unit(metres_per_unit)
+    content = reading.read_calibration(
+        source, is_grey=False, is_pair=None, cameras=options.camera, size_px=size_px
+    ).in_unit(metres_per_unit)
     if source.is_file():
         unit = (
             f"; lengths in the file: {UNIT_NAMES.get(content.metres_per_unit, 'metres')}"

@@ -201,7 +201,9 @@ def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan
     if (detector := files.get("detector")) is not None:
         open_detector(detector, replace(DetectorOptions.of(checked), device="cpu"))
     values = checked.model_dump(mode="json", exclude_none=True)
-    hashed = {key: value for key, value in values.items() if key not in _NOT_TAKEN} | hashes
+    # a camera of the settings is that of --rig-camera
+    common = {key for key in values if key not in _NOT_TAKEN or key == "camera"}
+    hashed = {key: value for key, value in values.items() if key in common} | hashes
     content = {"run": hashed, "reports": settings.reports, "version": version("track-range")}
     content |= {"methods": extra} if (extra := origins()) else {}
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))

@@ -56,6 +56,7 @@ class _Check:
     folder_fps: float
     stereo_layout: LayoutOption | None
     has_camera: bool
+    cameras: Sequence[str]  # their names in calibrations of several
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -198,9 +199,9 @@ class _Check:
         ):
             try:
                 if self.clip.right is None and self._layout is None:
-                    load_camera(path, size_px=left)
+                    load_camera(path, size_px=left, cameras=self.cameras)
                 else:
-                    load_rig(path, size_px=left, right_size_px=right)
+                    load_rig(path, size_px=left, right_size_px=right, cameras=self.cameras)
                 return
             except UserError as error:
                 errors.append(str(error))
@@ -214,6 +215,7 @@ def check_clips(
     folder_fps: float = 10.0,
     stereo_layout: LayoutOption | None = None,
     has_camera: bool = False,
+    cameras: Sequence[str] = (),
     threads: int = 8,
 ) -> Iterator[CheckedClip]:
     """The clips with the properties in their headers, in the given order.
@@ -222,12 +224,15 @@ def check_clips(
     Of remote clips only the existence and size of the files are known. `focal_px` and `folder_fps`
     are as in a run, for clips without calibration and folders of images without timestamps.txt,
     `stereo_layout` for single videos of two cameras; with `has_camera`, the cameras of clips without
-    a calibration are estimated before the run; `threads` clips are checked at a time.
+    a calibration are estimated before the run; `cameras` are their names in calibrations of several;
+    `threads` clips are checked at a time.
     """
     listings = FolderListings()
 
     def checked(clip: Clip) -> CheckedClip:
-        return _Check(clip, listings, focal_px, folder_fps, stereo_layout, has_camera).result()
+        return _Check(
+            clip, listings, focal_px, folder_fps, stereo_layout, has_camera, cameras
+        ).result()
 
     with ThreadPoolExecutor(threads) as pool:
         for start in range(0, len(clips), _BATCH):

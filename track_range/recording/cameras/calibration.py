@@ -366,12 +366,14 @@ def find_calibration(
     rig: Path | StereoRig | None,
     focal_px: float | None,
     view: LensView = WHOLE_VIEW,
+    cameras: Sequence[str] = (),
 ) -> RecordingCalibration:
     """The calibration of one or two opened videos, left first.
 
-    It comes from `rig`, a file or a model of the cameras, the focal length, the bag, or a file next
-    to `left`; the first of these is used. Otherwise the focal length is estimated, and the
-    distances are uncalibrated. Images of wide lenses are undistorted to `view`.
+    It comes from `rig`, a file, of which `cameras` may choose, or a model of the cameras, the focal
+    length, the bag, or a file next to `left`; the first of these is used. Otherwise the focal
+    length is estimated, and the distances are uncalibrated. Images of wide lenses are undistorted
+    to `view`.
 
     Raises RigError if the file cannot be used or does not fit the images, or there is a field of
     view but no wide lens, and VideoError if the videos of an uncalibrated pair differ in size.
@@ -385,7 +387,7 @@ def find_calibration(
         return replace(_of_models(rig, None, sizes_px, view, aspect), pixel_aspect=aspect)
     path, search_notes = rig, tuple[str, ...]()
     if rig is None and focal_px is None:
-        in_bag = _calibration_in_bag(videos, sizes_px, view)
+        in_bag = None if cameras else _calibration_in_bag(videos, sizes_px, view)
         if in_bag is not None:
             return in_bag
         first_file = next(iter(left.files), None)
@@ -394,10 +396,16 @@ def find_calibration(
             () if path is None else (f"Using calibration {path} found next to the left video.",)
         )
     if path is not None:
-        content = read_calibration(path, is_grey=videos[0].is_grey, is_pair=False)
+        chosen = _Chosen(path, tuple(cameras), videos[0].is_grey)
+        content = chosen.content(sizes_px)
         aspect = _pixel_aspect(videos, content.left)
-        loaded = _loaded(path, content, sizes_px, view, is_grey=videos[0].is_grey, aspect=aspect)
+        loaded = _loaded(chosen, content, sizes_px, view, aspect=aspect)
         return replace(loaded, search_notes=search_notes, pixel_aspect=aspect)
+    if cameras:
+        raise RigError(
+            f"--camera {','.join(cameras)}: expected a calibration file with cameras of these names, "
+            "found none; give --rig FILE, or omit the option."
+        )
     _check_view(None, view)
     aspect, notes = _pixel_aspect(videos), tuple[str, ...]()
     if focal_px is None and any(video.camera is not None for video in videos):
@@ -405,6 +413,32 @@ def find_calibration(
         notes = (note,)
     calibration = _without_file(left, videos, sizes_px, focal_px, aspect)
     return replace(calibration, search_notes=(*calibration.search_notes, *notes))
+
+
+def names_of(camera: str | Sequence[str]) -> tuple[str, ...]:
+    """The names of an option, in a list or separated by commas."""
+    names = camera.split(",") if isinstance(camera, str) else camera
+    return tuple(name.strip() for name in names if name.strip())
+
+
+@dataclass(frozen=True, slots=True)
+class _Chosen:
+    """A calibration file and the cameras that were chosen of it."""
+
+    path: Path
+    names: tuple[str, ...] = ()
+    is_grey: bool = False
+
+    def content(self, sizes_px: Sizes) -> RigCalibration:
+        """Content of the file for images of these sizes."""
+        is_pair = len(sizes_px) > 1
+        return read_calibration(
+            self.path,
+            is_grey=self.is_grey,
+            is_pair=is_pair,
+            cameras=self.names,
+            size_px=sizes_px[0],
+        )
 
 
 def _pixel_aspect(videos: Sequence[Video], camera: PinholeCamera | None = None) -> float:
@@ -418,10 +452,14 @@ def _pixel_aspect(videos: Sequence[Video], camera: PinholeCamera | None = None) 
 
 
 def calibration_of(
-    cameras: Path | StereoRig | PinholeCamera | None, sizes_px: Sizes, view: LensView = WHOLE_VIEW
+    cameras: Path | StereoRig | PinholeCamera | None,
+    sizes_px: Sizes,
+    view: LensView = WHOLE_VIEW,
+    names: Sequence[str] = (),
 ) -> RecordingCalibration:
-    """The calibration of one camera or a pair, for images of one or two sizes, from a file or from
-    camera models; None = a usual focal length and an assumed baseline, which the drive corrects.
+    """The calibration of one camera or a pair, for images of one or two sizes, from a file, of which
+    `names` may choose cameras, or from camera models; None = a usual focal length and an assumed
+    baseline, which the drive corrects.
 
     Raises RigError if the file cannot be used, the cameras do not fit the images, or as
     `find_calibration`.
@@ -439,8 +477,8 @@ def calibration_of(
             PinholeCamera.of_focal_length(guess.focal_px, sizes_px[0]), sizes_px, guess, (guess,)
         )
     if isinstance(cameras, Path):
-        content = read_calibration(cameras, is_grey=False, is_pair=False)
-        return _loaded(cameras, content, sizes_px, view, is_grey=False)
+        chosen = _Chosen(cameras, tuple(names))
+        return _loaded(chosen, chosen.content(sizes_px), sizes_px, view)
     return _of_models(cameras, None, sizes_px, view)
 
 
@@ -545,22 +583,26 @@ def _sizes_of(camera: PinholeCamera, sizes_px: Sizes, aspect: float) -> Sizes:
 
 
 def _loaded(
-    path: Path,
+    chosen: _Chosen,
     content: RigCalibration,
     sizes_px: Sizes,
     view: LensView,
     *,
-    is_grey: bool,
     aspect: float = 1.0,
 ) -> RecordingCalibration:
+    path, names, is_grey = chosen.path, chosen.names, chosen.is_grey
     fitted_px = _sizes_of(content.left, sizes_px, aspect)
     cameras: StereoRig | PinholeCamera
     if len(sizes_px) > 1:
         cameras, notes = load_rig(
-            path, size_px=fitted_px[0], right_size_px=fitted_px[1], is_grey=is_grey
+            path,
+            size_px=fitted_px[0],
+            right_size_px=fitted_px[1],
+            is_grey=is_grey,
+            cameras=names,
         )
     else:
-        cameras, notes = load_camera(path, size_px=fitted_px[0], is_grey=is_grey)
+        cameras, notes = load_camera(path, size_px=fitted_px[0], is_grey=is_grey, cameras=names)
     content = content.of_size(fitted_px[0])
     return replace(
         _of_cameras(cameras, path, notes, sizes_px, view),

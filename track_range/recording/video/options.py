@@ -18,6 +18,8 @@ class RecordingOptions:
         rig: calibration file (rig.yaml, or the file of a camera or a script), or the models of two
             cameras, of which one video uses the left one; None = a file next to the left video, if
             any.
+        camera: names of the camera, or of the left and the right one, in a calibration file of
+            several; empty = by the size of the images, or the left and the right one.
         focal_px: focal length of cameras without a calibration file.
         fov_deg: horizontal field of view, 20 to 120 degrees, to which the images of wide lenses are
             undistorted; None = the lens's, up to 120 degrees.
@@ -42,6 +44,7 @@ class RecordingOptions:
     """
 
     rig: str | Path | StereoRig | None = None
+    camera: str | Sequence[str] = ()
     focal_px: float | None = None
     fov_deg: float | None = None
     yaw_deg: float = 0.0
@@ -62,6 +65,7 @@ class RecordingKeywords(TypedDict, total=False):
     """The fields of `RecordingOptions` by keyword."""
 
     rig: str | Path | StereoRig | None
+    camera: str | Sequence[str]
     focal_px: float | None
     fov_deg: float | None
     yaw_deg: float

@@ -96,6 +96,15 @@ class InputOptions(Options):
             "folder of the left video; without such a file, distances are uncalibrated)."
         ),
     ] = None
+    camera: Annotated[
+        tuple[str, ...],
+        option(
+            "With a calibration file of several cameras, the name of the camera of --mono, or the "
+            "names of the left and the right one of --stereo (default: by the size of the images, "
+            "or the only pair; rig show FILE lists the names).",
+            metavar="NAME|LEFT,RIGHT",
+        ),
+    ] = ()
     focal_px: Annotated[
         float | None,
         _clip_option(

@@ -40,6 +40,8 @@ def _fleet_run(**values: Any) -> None:
     }
     if settings.settings is not None:
         options = {**common_options(settings.settings), **options}
+    if settings.rig_camera is not None:
+        options["camera"] = settings.rig_camera
     clips = clips_of(settings.recordings, settings.pattern, settings.rig)
     print_notes(console, filter(None, [label_note(clips)]))
     if settings.dry_run:
@@ -90,9 +92,10 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
     checked_settings = {
         key: options[key] for key in ("focal_px", "folder_fps", "stereo_layout") if key in options
     }
+    cameras = settings.rig_camera.split(",") if settings.rig_camera else ()
     has_camera = settings.camera is not None
     for checked in check_clips(
-        [task.clip for task in todo], has_camera=has_camera, **checked_settings
+        [task.clip for task in todo], has_camera=has_camera, cameras=cameras, **checked_settings
     ):
         seconds += checked.duration_s or 0.0
         line = f"{checked.clip.name}: {Location.of(checked.clip.left)}"
