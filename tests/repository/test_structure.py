@@ -66,7 +66,7 @@ MOST_STATEMENTS = {
     # two frames with block matching, and one flow of the pair and the tracker (70); frames between
     # two that are compared (30)
     # the part of the sensor that images show (14)
-    "stereo": 9_906,
+    "stereo": 10_306,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
@@ -104,7 +104,7 @@ MOST_STATEMENTS = {
     # (31), and fusion, warnings and the world by columns (70)
     "ranging": 7_572,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
-    "api": 106,  # names that are imported when they are used, and their former names (22)
+    "api": 107,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)
     # a recording counts once, and a measured height is kept (12)
@@ -122,7 +122,7 @@ MOST_STATEMENTS = {
     # what happens in a recording, of several drives (17)
     # a table by drive of labelled distances (25)
     # tables by cell, and by drive where there are several (12)
-    "cli": 2_471,
+    "cli": 2_477,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (143), several drives together, and intervals of rates (49)
@@ -130,7 +130,7 @@ MOST_STATEMENTS = {
     # errors and sigmas of motion by cell and by drive (66)
     "evaluation": 1_845,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
-    "fleet": 3_236,  # what a lost worker counts as is a function that tests call (5)
+    "fleet": 3_239,  # what a lost worker counts as is a function that tests call (5)
     # contradictions name their options (9); one registry with priorities and notes (65)
     # one registry with priorities and notes (5); functions of packages guarded in one place (50);
     # the flow of long tracks, below the two estimators that follow corners (35)
@@ -139,7 +139,7 @@ MOST_STATEMENTS = {
     # corners that go on from frame to frame and that are expected somewhere, and the tensor of single
     # corners (60)
     # lines before the header of a table (10)
-    "foundation": 1_868,
+    "foundation": 1_886,
     # each stage has a frozen output, and `FrameResult` consists of them (165); the detection and the
     # scale report (9)
     # the way of a repeated image (45); the scale of a pair, corrected in one place (7); the
@@ -172,7 +172,7 @@ MOST_STATEMENTS = {
     # images near keyframes alone (3)
     # the clock of the images of a bag, its words and its split files (96)
     # what logs state of speeds and times: units, starts, signs, orders, dates, several speeds (144)
-    "recording": 7_667,
+    "recording": 7_683,
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)
     # the shape of an estimate of a camera (20)
@@ -196,7 +196,7 @@ MOST_STATEMENTS = {
     # the pre-pass for what never moves (5)
     # the stages of each scene, made in a function of their own (9)
     # what an empty scenario lacks (2)
-    "run": 2_462,
+    "run": 2_469,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that
     # look to any side from any place of the vehicle (24)
     # vehicles out of side roads, which cross or give way (39)
