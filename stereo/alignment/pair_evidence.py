@@ -58,7 +58,9 @@ _MAX_SHIFT, _N_SHIFTED = 5, 3
 _MIN_GAIN = 1.25  # ratio of the matches at another time to those of the pairs
 
 
-class _Features(NamedTuple):
+class Features(NamedTuple):
+    """Points of an image."""
+
     xy_px: FloatArray  # (N, 2)
     angle_deg: FloatArray  # (N,)
     descriptors: npt.NDArray[np.uint8]  # (N, 32)
@@ -139,8 +141,8 @@ class PairEvidence:
             camera.width_px // f,
             camera.height_px // f,
         )
-        self._lefts: list[_Features] = []
-        self._rights: list[_Features] = []  # as recorded
+        self._lefts: list[Features] = []
+        self._rights: list[Features] = []  # as recorded
         self._pairs: list[_Pair] = []
         self._steps: list[_Step] = []
         self._n_tracked: list[int] = []
@@ -178,7 +180,7 @@ class PairEvidence:
             pair = max(pair, mirrored, key=lambda one: one.n_in_band())
         self._pairs.append(pair)
 
-    def _add_step(self, before: _Features, now: _Features) -> None:
+    def _add_step(self, before: Features, now: Features) -> None:
         first, second = _matches(before, now)
         self._n_tracked.append(len(first))
         self.flow_px = 0.0
@@ -339,7 +341,7 @@ def _support(
     return np.array(supports)
 
 
-def _flow_px(first: _Features, second: _Features) -> float:
+def _flow_px(first: Features, second: Features) -> float:
     """Median motion of the matching features; 0 if there are none."""
     a, b = _matches(first, second)
     return (
@@ -349,24 +351,24 @@ def _flow_px(first: _Features, second: _Features) -> float:
     )
 
 
-def _features(image: Image) -> _Features:
+def _features(image: Image, n_features: int = _N_FEATURES) -> Features:
     """ORB features of the upper and the lower half of a grey image: on the road, features are few
     and weak.
     """
     # of ORB, which finds no features beside the image border
     half, border = image.shape[0] // 2, 31
     xy_px, angle_deg, descriptors = [np.zeros((0, 2))], [np.zeros(0)], [np.zeros((0, 32), np.uint8)]
-    orb = cv2.ORB.create(nfeatures=_N_FEATURES)
+    orb = cv2.ORB.create(nfeatures=n_features)
     for top, bottom in ((0, half + border), (half - border, image.shape[0])):
         points, described = orb.detectAndCompute(image[max(top, 0) : bottom], None)
         if len(points):
             xy_px.append(np.array([point.pt for point in points]) + np.array([0.0, max(top, 0)]))
             angle_deg.append(np.array([point.angle for point in points]))
             descriptors.append(np.asarray(described, np.uint8))
-    return _Features(np.concatenate(xy_px), np.concatenate(angle_deg), np.concatenate(descriptors))
+    return Features(np.concatenate(xy_px), np.concatenate(angle_deg), np.concatenate(descriptors))
 
 
-def _matches(first: _Features, second: _Features) -> tuple[IntArray, IntArray]:
+def _matches(first: Features, second: Features) -> tuple[IntArray, IntArray]:
     """(N,) numbers of matching features, by cross-check and ratio test."""
     if min(len(first.xy_px), len(second.xy_px)) < 2:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -387,7 +389,7 @@ def _matches(first: _Features, second: _Features) -> tuple[IntArray, IntArray]:
 
 
 def _pair(
-    left: _Features, right: _Features, size_px: tuple[int, int], *, is_mirrored: bool = False
+    left: Features, right: Features, size_px: tuple[int, int], *, is_mirrored: bool = False
 ) -> _Pair:
     """The matches with the more frequent orientation, equal or opposite, in the more frequent band
     of rows.
@@ -408,6 +410,16 @@ def _pair(
             _Pair(kind, len(first), left.xy_px[first[is_alike]], right_px, first[is_alike])
         )
     return max(pairs, key=lambda pair: pair.n_in_band())
+
+
+def features(image: Image) -> Features:
+    """The features of a small grey image, in half the number of a pair's."""
+    return _features(image, _N_FEATURES // 2)
+
+
+def in_equal_rows(first: Features, second: Features, size_px: tuple[int, int]) -> int:
+    """Number of matching features in one narrow band of rows, of small images of this size."""
+    return _pair(first, second, size_px).n_in_band(_ROW_PX / 2)
 
 
 def _in_band(value: FloatArray, half_width: float) -> BoolArray:

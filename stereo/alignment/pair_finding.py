@@ -59,7 +59,7 @@ _MIN_ROWS_PX = 1.5  # smallest error of rows that is corrected here
 # ends of the sentence on a pair
 _CORRECTED = "; corrected, but calibrate again."
 _FOUND = "; corrected."
-_WITHOUT_STEREO = ". Distances come from the left video alone."
+WITHOUT_STEREO = ". Distances come from the left video alone."
 GIVEN = (
     "; --align auto corrects this error; with the given alignment, distances come from the left "
     "video alone."
@@ -159,7 +159,7 @@ def find_fault(figures: PairFigures, rig: StereoRig, *, is_packed: bool = False)
 
 
 def _refused(reason: str) -> PairFinding:
-    return PairFinding("refused", f"The rig does not fit these images: {reason}", _WITHOUT_STEREO)
+    return PairFinding("refused", f"The rig does not fit these images: {reason}", WITHOUT_STEREO)
 
 
 def _is_without_parallax(figures: PairFigures, rig: StereoRig) -> bool:

@@ -59,11 +59,11 @@ def measured_lag(before: ImageView, left: ImageView, right: ImageView) -> Lag | 
     `before` is a left image of a short time before (or after: the sign changes). One measurement
     takes 2 or 3 ms.
     """
-    small_left = _small(left)
+    small_left = small_view(left)
     corners = ranked_corners(small_left, masked_cells(np.zeros((0, 4)), small_left.shape, 0))
     points = corners.points[: corners.n_good(_N_CORNERS, _MIN_QUALITY)]
     track = partial(tracked_corners, window_px=_WINDOW_PX, n_levels=_N_LEVELS)
-    in_before, is_tracked = track(small_left, _small(before), points)
+    in_before, is_tracked = track(small_left, small_view(before), points)
     points, in_before = points[is_tracked], in_before[is_tracked]
     if len(points) < _MIN_POINTS:
         return None
@@ -77,7 +77,7 @@ def measured_lag(before: ImageView, left: ImageView, right: ImageView) -> Lag | 
     motion_px = _fitted(rig, moved_px, flat, flat).scatter
     if motion_px < _MIN_MOTION_PX:
         return None
-    small_right = _exposed_as(_small(right), small_left)
+    small_right = _exposed_as(small_view(right), small_left)
     in_right, is_right = track(small_left, small_right, points)
     back, is_back = track(small_right, small_left, in_right, n_levels=1, start=points)
     is_used = is_right & is_back & (np.abs(back - points).max(axis=1) < _MAX_RETURN_PX)
@@ -104,7 +104,7 @@ def measured_lag(before: ImageView, left: ImageView, right: ImageView) -> Lag | 
     return Lag(float(fit.coefficients[-1]), sigma, fit.n_points, is_known)
 
 
-def _small(view: ImageView) -> Image:
+def small_view(view: ImageView) -> Image:
     """Every second pixel, or fewer, of a view in grey or green."""
     step = 1 << BackgroundFlow().n_halvings((view.shape[0], view.shape[1]))
     pixels = view[step // 2 :: step, step // 2 :: step]

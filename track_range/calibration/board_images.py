@@ -105,7 +105,7 @@ class VideoShots:
         if len(paths) > 1 and paths[0] == paths[1]:
             self._pair = pair_in(first, source_of(paths[0]), find_layout(first, layout).layout)
         elif len(paths) > 1:
-            self._pair = RecordedPair(first, open_video(paths[1]))
+            self._pair = RecordedPair(first, open_video(paths[1], left=first))
         length_s = (first.n_frames or 0) / first.fps
         self._step_s = max(_SHORTEST_STEP_S, length_s / _MAX_VIDEO_SHOTS)
         # estimate

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Unpack
@@ -28,6 +28,7 @@ from track_range.recording.pairs.aligner import (
     RECORDED,
     PairAligner,
 )
+from track_range.recording.pairs.clock_offset import searched_offset
 from track_range.recording.pairs.live_pair import LivePair
 from track_range.recording.pairs.packed_pair import PackedPair, pair_in
 from track_range.recording.pairs.recorded_pair import RecordedPair
@@ -41,11 +42,12 @@ from track_range.recording.video.recorded_video import RecordedVideo
 from track_range.recording.video.source_name import SourceName
 from track_range.recording.video.utc import UtcStart, parsed_utc
 from track_range.recording.video.video import Video
+from track_range.stereo.alignment.common_moment import ClockOffset
 from track_range.stereo.alignment.pair_finding import PairFinding
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.geometry.rig import RigError, StereoRig
 
 PairedVideos = RecordedPair | LivePair | PackedPair
 
@@ -211,7 +213,7 @@ def open_recording(
             direction to the right of one camera's axis; `align`, disparity correction of a pair:
             "auto" (estimated from the first frames), "off", a file or an alignment; `start_s` and
             `duration_s`, the part to read, in seconds; `every`, N for every N-th frame;
-            `folder_fps`, frame rate of folders of images without times; `has_checks`, whether pairs
+            `fps`, frame rate of images without times; `has_checks`, whether pairs
             are checked for swapped, misaligned and unsynchronised videos; `start_utc` of the first
             frame, in ISO 8601; `topics` of the images in bags; `stereo_layout` of two cameras in
             one recording: "side-by-side", "right-left", "top-bottom", "bottom-top", "tracks" or
@@ -233,7 +235,7 @@ def open_recording(
         (0, 0.0, False)
         >>> recording.close()
     """
-    options = replace(options, **keywords)
+    options = options.replaced(keywords)
     utc = None if options.start_utc is None else parsed_utc(options.start_utc)
     names, folder_notes = _names(
         source_of(video_name(left)),
@@ -309,6 +311,8 @@ def _opened(
     """
     video = left.open(options)
     on_error.callback(video.close)
+    if video.time_question:
+        raise VideoError(video.time_question)
     pair: PairedVideos | None = None
     notes: tuple[str, ...] = ()
     if right is not None:
@@ -354,17 +358,29 @@ def _aligner(
 
 
 def _look_ahead(aligner: PairAligner, pair: PairedVideos, progress: StepProgress) -> None:
-    """Read the first frames, until the aligner can start."""
+    """Read the first frames, until the aligner can start; search the clocks' offset where they do
+    not fit.
+    """
+    offset: ClockOffset | None = None
     while aligner.is_looking:
         shown = progress if aligner.is_estimating else no_progress
-        with shown("estimating the alignment") as advance:
-            with closing(pair.read_ahead()) as images:
-                for left, right in images:
-                    recorded = aligner.calibration.recorded(left, right, pair.left.first_time_s)
-                    if not aligner.look(recorded):
-                        break
-                    advance(round(10 * aligner.looked_s), round(10 * ESTIMATION_SPAN_S))
-            aligner.start()
+        # the aligner raises it again when it starts
+        with (
+            suppress(RigError),
+            shown("estimating the alignment") as advance,
+            closing(pair.read_ahead()) as images,
+        ):
+            for left, right in images:
+                recorded = aligner.calibration.recorded(left, right, pair.left.first_time_s)
+                if not aligner.look(recorded):
+                    break
+                advance(round(10 * aligner.looked_s), round(10 * ESTIMATION_SPAN_S))
+        if offset is None and isinstance(pair, RecordedPair) and aligner.doubts_moments:
+            offset = searched_offset(pair, aligner.calibration)
+            if pair.use_offset(offset):
+                aligner.look_again()
+                continue
+        aligner.start(offset)
 
 
 def _frames(

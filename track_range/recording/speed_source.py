@@ -130,7 +130,7 @@ def _opened(setting: str, recording: Recording, mounting: Mounting | None) -> Sp
             video,
             recording.camera,
             start_s=start_s - part_s,
-            folder_fps=options.folder_fps,
+            fps=options.fps,
             span_s=span_s,
             travel_from_camera=None if mounting is None else mounting.travel_from_camera,
         )

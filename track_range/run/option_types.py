@@ -68,7 +68,7 @@ class RunKeywords(PipelineKeywords, total=False):
     duration_s: float | None
     every: int | None
     realtime: bool | None
-    folder_fps: float | None
+    fps: float | None
     bayer: Literal["rggb", "bggr", "gbrg", "grbg"] | None
     start_utc: str | None
     ego_speed: str | Path | float | None

@@ -15,8 +15,7 @@ def paced_frames(settings: RunSettings, recording: Recording) -> PacedFrames | N
     """The frames at the pace of a camera, if the settings ask for it."""
     if not settings.realtime or recording.live is not None:
         return None
-    fps = recording.fps or settings.folder_fps
-    return PacedFrames(recording.frames, 1 / fps)
+    return PacedFrames(recording.frames, 1 / recording.fps)
 
 
 @contextmanager

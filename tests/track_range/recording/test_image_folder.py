@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from track_range.recording.recording import open_recording
 from track_range.recording.sources.open_video import open_video
 from track_range.recording.video.frame import VideoError
 
@@ -42,7 +43,9 @@ def test_images_are_sorted_by_number(folder: Path, level: Level, number_in: Numb
     frames = [(frame.index, round(frame.time_s, 6), number_in(frame.image)) for frame in reader]
     assert frames == [(0, 0.8, 8), (1, 0.9, 9), (2, 1.0, 10), (3, 1.1, 11)]
     assert (reader.width_px, reader.height_px, reader.fps, reader.n_frames) == (64, 48, 10.0, 4)
-    assert (reader.notes, reader.is_grey) == ((), True)
+    (note,) = reader.notes
+    assert note.startswith(f"{folder}: the images have no times; 10 frames/s are assumed")
+    assert reader.is_grey
 
 
 def test_missing_number_is_a_dropped_frame(folder: Path, level: Level) -> None:
@@ -56,6 +59,19 @@ def test_missing_number_is_a_dropped_frame(folder: Path, level: Level) -> None:
     ]
     (note,) = reader.notes
     assert note.startswith(f"{folder}: 2 numbers")
+
+
+def test_numbers_that_may_be_milliseconds(folder: Path, level: Level) -> None:
+    for number in (0, 33, 66, 100, 133, 200):
+        cv2.imwrite(str(folder / f"{number:06d}.png"), level(number // 33))
+    with pytest.raises(VideoError, match=r"increase by 33 .*30\.3 images/s.*--fps"):
+        open_recording(folder, focal_px=50.0)
+    reader = open_video(folder, fps=30.0)
+    assert [frame.index for frame in reader] == [0, 33, 66, 100, 133, 200]
+    steps = np.diff([frame.time_s for frame in reader]) * 30
+    assert steps == pytest.approx([1, 1, 1, 1, 2], abs=0.05)
+    assert "so that 30 frames/s is the rate of the images" in reader.notes[-1]
+    assert any("1 number is missing" in note for note in reader.notes)
 
 
 def test_part_of_a_folder(folder: Path, level: Level) -> None:
@@ -93,7 +109,7 @@ def test_backward_timestamps_are_skipped(folder: Path, level: Level) -> None:
 def test_timestamps_of_another_recording_are_not_used(folder: Path, level: Level) -> None:
     fill(folder, level, [0, 1])
     path = stamp(folder, ["51.1", "51.2", "51.3"])
-    reader = open_video(folder)
+    reader = open_video(folder, fps=10.0)
     assert [frame.time_s for frame in reader] == [0.0, 0.1]
     (note,) = reader.notes
     assert note.startswith(f"{path}: ignored")
@@ -106,7 +122,7 @@ def test_invalid_timestamps_are_not_used(folder: Path, level: Level, text: str) 
     fill(folder, level, [0, 1])
     path = folder / "timestamps.txt"
     path.write_text(text, encoding="ascii")
-    reader = open_video(folder)
+    reader = open_video(folder, fps=10.0)
     assert [frame.time_s for frame in reader] == [0.0, 0.1]
     (note,) = reader.notes
     assert note.startswith(f"{path}: ignored")
@@ -155,7 +171,7 @@ def test_two_cameras_in_one_folder(folder: Path, level: Level) -> None:
 def test_damaged_image(folder: Path, level: Level, stored: bytes) -> None:
     fill(folder, level, [0, 1, 2])
     (folder / "000001.png").write_bytes(stored)
-    reader = open_video(folder)
+    reader = open_video(folder, fps=10.0)
     for _ in range(2):  # each reading counts anew
         assert [(frame.index, round(frame.time_s, 6)) for frame in reader] == [(0, 0.0), (2, 0.2)]
         (note,) = reader.notes
@@ -167,7 +183,7 @@ def test_damaged_first_images(folder: Path, level: Level) -> None:
     fill(folder, level, [0, 1, 2])
     for name in ("000000.png", "000001.png"):
         (folder / name).write_bytes((folder / name).read_bytes()[:60])
-    reader = open_video(folder)
+    reader = open_video(folder, fps=10.0)
     assert (reader.width_px, reader.height_px, reader.first_time_s) == (64, 48, pytest.approx(0.2))
     assert [frame.index for frame in reader] == [2]
     assert "skipped 2 unreadable images" in reader.notes[0]

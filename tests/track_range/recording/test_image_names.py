@@ -70,6 +70,29 @@ def test_times_in_names(tmp_path, names, steps_s):
     assert notes == []
 
 
+MORE_TIMES = (
+    # ApolloScape: year of two digits
+    (["180116_053947100_Camera_5.jpg", "180116_053947133_Camera_5.jpg"], [0.033]),
+    (["f_14-25-59.950.png", "f_14-26-00.000.png", "f_14-26-00.050.png"], [0.05, 0.05]),
+    (["142559950.jpg", "142600000.jpg"], [0.05]),
+    (["235959950.jpg", "000000000.jpg"], [0.05]),  # midnight
+    (["1403636579_963555584.png", "1403636580_013555456.png"], [0.04999987]),
+)
+
+
+@pytest.mark.parametrize(("names", "steps_s"), MORE_TIMES)
+def test_short_dates_and_times_of_day(tmp_path, names, steps_s):
+    images, times_s, _, *_ = named_images(touch(tmp_path / "a", names))
+    assert [path.name for _, path in images] == names
+    assert np.diff(times_s) == pytest.approx(steps_s, abs=1e-6)
+
+
+@pytest.mark.parametrize("step", [1, 33])
+def test_counters_are_no_times_of_day(tmp_path, step):
+    names = [f"{number * step:09d}.png" for number in range(20)]
+    assert named_images(touch(tmp_path / "a", names)).times_s is None
+
+
 NUMBERS = (  # names in their order, and the frame numbers
     (["0000000007.png", "0000000008.png", "0000000011.png"], [7, 8, 11]),  # KITTI raw
     (["aachen_000000_000019_leftImg8bit.png", "aachen_000001_000019_leftImg8bit.png"], [0, 1]),
@@ -96,7 +119,7 @@ def test_numbers_in_names(tmp_path, names, numbers):
     assert times_s is None
     assert [path.name for _, path in images] == names
     assert [number for number, _ in images] == (numbers or list(range(len(names))))
-    assert any("--folder-fps" in note for note in notes) == (numbers is None)
+    assert any("--fps." in note for note in notes) == (numbers is None)
     assert not any("549" in note for note in notes)
 
 

@@ -195,5 +195,5 @@ def test_motion_of_images_whose_pixels_are_not_square(tmp_path, aspect):
     path = write_film(tmp_path / "turn.mp4", times_s, images=moved, aspect=aspect)
     recording = open_recording(path, focal_px=focal_px)
     recording.close()
-    motion = motion_of(path, recording.camera, start_s=0.0, folder_fps=10.0)
+    motion = motion_of(path, recording.camera, start_s=0.0)
     assert abs(float(np.median(motion.yaw_rad_s))) == pytest.approx(0.2, rel=0.05)

@@ -55,6 +55,29 @@ def n_unused(video: RecordedPair, side: str) -> int:
     return sum(int(n) for numbers in counts for n in numbers)
 
 
+@pytest.mark.parametrize(
+    ("has_origin", "first_s", "offset_s"),
+    [
+        ((True, True), 1.3, 0.0),
+        ((False, True), 1.3, -0.3),
+        ((True, False), 3.0, -2.0),
+        ((False, False), 1.3, 0.0),  # one clock
+        ((False, False), 50.0, -49.0),
+    ],
+)
+def test_clocks_without_an_origin(
+    view: View, has_origin: tuple[bool, bool], first_s: float, offset_s: float
+) -> None:
+    left, right = view(times(10)), view(times(10, first_s=first_s))
+    right.select(0.0, origin_s=left.first_time_s)
+    left.has_origin, right.has_origin = has_origin
+    video = RecordedPair(left, right)
+    assert right.offset_s == pytest.approx(offset_s)
+    n_later = 0 if offset_s else round(10 * (first_s - 1.0))
+    assert indices(video) == [(n + n_later, n) for n in range(10 - n_later)]
+    assert any("without a common origin" in note for note in video.notes) == bool(offset_s)
+
+
 def test_synchronised_videos(view: View) -> None:
     video = RecordedPair(view(times(12)), view(times(12)))
     assert indices(video) == [(number, number) for number in range(12)]

@@ -279,6 +279,34 @@ def test_creation_times_of_the_ends() -> None:
     assert plan.utc.start_s == 1e9
 
 
+CHAPTERS = (  # given by name; the order; with the dates of their recordings, and the starts
+    (["GX010001", "GX010002", "GX020001"], ["GX010001", "GX020001", "GX010002"]),
+    (["GH010012", "GH010013", "GH020012"], ["GH010012", "GH020012", "GH010013"]),
+    (
+        ["GOPR0001", "GOPR0002", "GP010001", "GP020001"],
+        ["GOPR0001", "GP010001", "GP020001", "GOPR0002"],
+    ),
+    (["DJI_0009", "DJI_0010"], ["DJI_0009", "DJI_0010"]),
+    (["C0001", "C0002"], ["C0001", "C0002"]),
+)
+
+
+@pytest.mark.parametrize(("names", "ordered"), CHAPTERS)
+def test_chapters_of_recordings(names: list[str], ordered: list[str]) -> None:
+    undated = arranged([facts(name, 8.0) for name in names], is_given_order=False)
+    assert [name for name, _ in starts_s(undated)] == ordered
+    assert "order of their names" in undated.notes[0]
+    if not ordered[0].startswith("G"):
+        return
+    # all chapters have the date of their recording, and the second one starts 100 s later
+    dated = arranged(
+        [facts(name, 8.0, created_s=1e9 + 100 * (name[-1] in ordered[-1][-1])) for name in names],
+        is_given_order=False,
+    )
+    first = [(name, 8.0 * number) for number, name in enumerate(ordered[:-1])]
+    assert starts_s(dated) == [*first, (ordered[-1], 100.0)]
+
+
 def test_small_gaps_do_not_accumulate() -> None:
     files = [facts(f"{number}", 59.5, created_s=1e9 + 60 * number) for number in range(100)]
     plan = arranged(files, is_given_order=False)

@@ -102,7 +102,7 @@ def test_realtime_states_latency_and_drops(
     plain = json.loads((tmp_path / "plain/summary.json").read_text())
     assert not {"latency_ms", "frames_dropped"} & plain.keys()
     assert [
-        "10 frames per second" in note for note in plain["notes"] if "have no times" in note
+        "10 frames/s are assumed" in note for note in plain["notes"] if "have no times" in note
     ] == [True]
 
 

@@ -134,7 +134,7 @@ def test_lossless_folders(cli, rig, tmp_path):
     ]
     status, printed, errors = cli("simulate", "--out", tmp_path, *arguments)
     assert status == 0, errors
-    assert printed.rstrip().endswith("--folder-fps 20")
+    assert printed.rstrip().endswith("--fps 20")
     assert (
         len(list((tmp_path / "left").iterdir()))
         == len(list((tmp_path / "disp_occ_0").iterdir()))

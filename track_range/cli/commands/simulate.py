@@ -26,7 +26,7 @@ def _simulate(settings: SimulationSettings) -> None:
         )
         return
     fps = settings.fps or DEFAULT_FPS
-    rate = f" --folder-fps {fps:g}" if drive.left.suffix != ".mp4" and fps != DEFAULT_FPS else ""
+    rate = f" --fps {fps:g}" if drive.left.suffix != ".mp4" and fps != DEFAULT_FPS else ""
     pair = f"{drive.left} {drive.right}"
     if settings.stereo_layout is not None:
         pair = f"{drive.left} --stereo-layout {settings.stereo_layout}"

@@ -307,7 +307,9 @@ def track_sequence(
     refined with later frames (`tracking.offline_refinement`). `advance` is called after each frame.
     VideoError if the images cannot be read.
     """
-    video = None if images is None else open_video(images, folder_fps=fps)
+    video = None
+    if images is not None:
+        video = open_video(images, fps=fps if images.is_dir() else None)
     refinable = tracker if isinstance(tracker, RefinableTracker) else None
     refinement, online, spent_s, with_image = OfflineRefinement(), [], 0.0, []
     for frame, time_s, image in _frames(video, n_frames, fps):

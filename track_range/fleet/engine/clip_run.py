@@ -150,7 +150,7 @@ class _ClipRun:
         header = next(
             check_clips(
                 [clip],
-                folder_fps=settings.folder_fps,
+                fps=settings.fps,
                 stereo_layout=settings.stereo_layout,
                 threads=1,
             )

@@ -53,7 +53,7 @@ class _Check:
     clip: Clip
     listings: FolderListings
     focal_px: float | None
-    folder_fps: float
+    fps: float | None
     stereo_layout: LayoutOption | None
     has_camera: bool
     cameras: Sequence[str]  # their names in calibrations of several
@@ -136,15 +136,14 @@ class _Check:
     def _header(self, path: Path, index: int) -> _Header:
         """Properties of a video, index 1 = right."""
         bag = is_bag(path)
+        given = self.clip.settings.get("fps", self.fps)
+        fps = None if given is None else float(given)
         if not (bag or path.is_dir()):
-            header = VideoHeader.read(path)
+            header = VideoHeader.read(path, fps=fps)
             return header.size_px, header.fps, header.duration_s, False
         topics = [topic.strip() for topic in self.clip.settings.get("topics", "").split(",")]
         topic = topics[index] if index < len(topics) else ""
-        fps = float(self.clip.settings.get("folder_fps", self.folder_fps))
-        with closing(
-            open_video(BagTopic(path, topic or None) if bag else path, folder_fps=fps)
-        ) as reader:
+        with closing(open_video(BagTopic(path, topic or None) if bag else path, fps=fps)) as reader:
             has_camera = reader.camera is not None
             return (
                 (reader.width_px, reader.height_px),
@@ -212,7 +211,7 @@ def check_clips(
     clips: Sequence[Clip],
     *,
     focal_px: float | None = None,
-    folder_fps: float = 10.0,
+    fps: float | None = None,
     stereo_layout: LayoutOption | None = None,
     has_camera: bool = False,
     cameras: Sequence[str] = (),
@@ -221,8 +220,8 @@ def check_clips(
     """The clips with the properties in their headers, in the given order.
 
     Videos on this machine are opened, but not decoded, except the first image of folders and bags.
-    Of remote clips only the existence and size of the files are known. `focal_px` and `folder_fps`
-    are as in a run, for clips without calibration and folders of images without timestamps.txt,
+    Of remote clips only the existence and size of the files are known. `focal_px` and `fps` are
+    as in a run, for clips without calibration and images without times,
     `stereo_layout` for single videos of two cameras; with `has_camera`, the cameras of clips without
     a calibration are estimated before the run; `cameras` are their names in calibrations of several;
     `threads` clips are checked at a time.
@@ -231,7 +230,7 @@ def check_clips(
 
     def checked(clip: Clip) -> CheckedClip:
         return _Check(
-            clip, listings, focal_px, folder_fps, stereo_layout, has_camera, cameras
+            clip, listings, focal_px, fps, stereo_layout, has_camera, cameras
         ).result()
 
     with ThreadPoolExecutor(threads) as pool:

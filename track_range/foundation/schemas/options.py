@@ -148,8 +148,11 @@ class Options(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _current_names(cls, given: Any) -> Any:
-        if not isinstance(given, Mapping):
-            return given
+        return cls.with_current_names(given) if isinstance(given, Mapping) else given
+
+    @classmethod
+    def with_current_names(cls, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Values by name, of which some may have earlier names of the fields."""
         values = dict(given)
         for name, field in cls.model_fields.items():
             for old_name in option_of(field).old_names:

@@ -42,8 +42,9 @@ from track_range.recording.pairs.pair_monitor import MAX_FRAMES, PairMonitor
 from track_range.recording.pairs.sync_monitor import SyncMonitor
 from track_range.recording.video.frame import RecordedFrame
 from track_range.recording.video.threads import FRAMES_AHEAD
+from track_range.stereo.alignment.common_moment import ClockOffset
 from track_range.stereo.alignment.from_drive import MIN_STEP_S, DriveAlignment
-from track_range.stereo.alignment.pair_finding import LATER, PairFinding
+from track_range.stereo.alignment.pair_finding import LATER, WITHOUT_STEREO, PairFinding
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame
 
@@ -54,6 +55,8 @@ _FIRST_PERIOD = 2
 # frames that wait for the background, which takes a second for some; further ones are left out
 _MAX_PENDING = 8
 _MAX_PENDING_BEFORE = 1  # the same before the pair is checked, which would have to wait for them
+# explanations that a pair of different moments has, too
+_DOUBTFUL = ("unsteady", "unknown", "refused", "swapped")
 _UNSTEADY = (
     "not measured, since the vertical offset between left and right changes, as in images of "
     "different times"
@@ -89,6 +92,17 @@ class AlignedFrame:
     frame: Frame
     calibration: RecordingCalibration  # by which it is rectified
     finding: PairFinding | None  # how the pair fits the rig; None = not known yet, or not checked
+
+
+def _apart(offset: ClockOffset) -> PairFinding:
+    """The explanation of a pair in which no right image shows the moment of a left one."""
+    return PairFinding(
+        "refused",
+        "Left and right do not show the same moment: no right image of the first seconds has more "
+        f"than {offset.points:.0f} points in the rows of a left image, although successive left "
+        f"images share {offset.other_points:.0f}; give two videos of one drive that start together",
+        WITHOUT_STEREO,
+    )
 
 
 class _Look:
@@ -264,10 +278,25 @@ class PairAligner:
                 return False
         return True
 
-    def start(self) -> None:
+    @property
+    def doubts_moments(self) -> bool:
+        """Whether the frames that were read ahead may be pairs of different moments."""
+        look = self._state
+        if not isinstance(look, _Look) or self._check is None:
+            return False
+        finding = self._check.explained()
+        return finding is None or finding.fault in _DOUBTFUL
+
+    def look_again(self) -> None:
+        """Start with other pairs of the same two videos."""
+        self._check = PairMonitor(self._rig, background=self._background)
+        self._state = self._look()
+
+    def start(self, offset: ClockOffset | None = None) -> None:
         """Explain the pair by the frames that were read ahead, and align it, or look again.
 
-        Raises RigError if left and right are swapped.
+        `offset` is what a search for other pairs has shown; None = there was none. Raises RigError
+        if left and right are swapped.
         """
         look = self._state
         if not isinstance(look, _Look):
@@ -278,6 +307,9 @@ class PairAligner:
         if self._finding is not None and self._given is not None:
             self._finding = self._finding.uncorrected()
         finding = self._finding or PairFinding("unknown")
+        is_explained = finding.fault not in ("unsteady", "unknown")
+        if offset is not None and offset.kind == "apart" and not is_explained:
+            finding = self._finding = _apart(offset)
         if self._rig.is_assumed and (self._check is None or not self._check.has_equal_rows):
             self._check = None  # the calibration has the note
             finding = PairFinding("refused")

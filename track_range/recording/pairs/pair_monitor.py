@@ -2,6 +2,7 @@
 
 import math
 from concurrent.futures import Future
+from contextlib import suppress
 from typing import NamedTuple
 
 from track_range.foundation.background import Background, InThreads
@@ -139,15 +140,21 @@ class PairMonitor:
             n_pairs >= _N_PAIRS and self._n_moving >= _N_PAIRS // 2
         )
 
-    def finish(self) -> PairFinding | None:
-        """The explanation of the pairs so far, None without pairs; only the first later pairs in
-        motion are checked. Raises RigError if left and right are swapped.
-        """
-        self._use_results()
+    def explained(self) -> PairFinding | None:
+        """The explanation of the pairs so far, None without pairs."""
+        with suppress(RigError):
+            self._use_results()
         if self._finding is None and self._n_pairs:
             self._explain(self._evidence.call(PairEvidence.figures).result())
-        self._check_order()
         return self._finding
+
+    def finish(self) -> PairFinding | None:
+        """The same; only the first later pairs in motion are checked. Raises RigError if left and
+        right are swapped.
+        """
+        finding = self.explained()
+        self._check_order()
+        return finding
 
     def _check_order(self) -> None:
         if self._finding is not None and self._finding.fault == "swapped":

@@ -5,6 +5,13 @@ cameras drop frames, start at different times and run at different rates.
 
     left   |  a     b     c     d                pairs: (b, B) (d, D)
     right           B           D     E          a, c and E are unpaired
+
+The clocks of the two videos may have different origins:
+
+    both have an origin (MP4, folders, bags)    ->  times of the files
+    one is a transport or program stream        ->  both start together
+    both are, and their times overlap           ->  times of the files, else both start together
+    the images contradict (`clock_offset`)      ->  the offset that the images show
 """
 
 import math
@@ -17,6 +24,7 @@ from track_range.recording.pairs.video_pair import Pair, VideoPair
 from track_range.recording.video.frame import TIME_EPSILON_S, VideoError, VideoFrame
 from track_range.recording.video.recorded_video import RecordedVideo
 from track_range.recording.video.threads import MAX_LOOK_AHEAD_BYTES
+from track_range.stereo.alignment.common_moment import ClockOffset
 
 _TOLERANCE_INTERVALS = 0.25
 """Largest time difference within a pair, in intervals of the faster video.
@@ -25,6 +33,8 @@ At 30 Hz this is 8 ms; a car closing at 30 m/s then moves 0.25 m, 1 % of 25 m. W
 every frame would find a partner.
 """
 
+# latest start of one of two streams that have one clock, as a fraction of the shorter one
+_MAX_LATER = 0.5
 # relative difference up to which nominal rates count as equal, such as 29.97 and 30
 _RATE_DIFFERENCE = 0.01
 
@@ -79,6 +89,19 @@ class _Side:
         self.n_after = 0
 
 
+# smallest offset from images that is used: smaller ones are a matter of `SyncMonitor`, which
+# measures them also between frames
+_MIN_OFFSET_INTERVALS = 1.5
+
+
+def _suggested_offset_s(left: RecordedVideo, right: RecordedVideo) -> float:
+    """What is added to the times of the right video, by the files alone, s."""
+    later_s = left.first_time_s - right.first_time_s
+    shorter_s = min((video.n_total or 0) / video.fps for video in (left, right))
+    has_one_clock = left.has_origin or abs(later_s) <= _MAX_LATER * shorter_s
+    return 0.0 if left.has_origin == right.has_origin and has_one_clock else later_s
+
+
 class RecordedPair(VideoPair[RecordedVideo]):
     """Pairs of frames of two videos with times that differ by at most a quarter of the shorter
     nominal frame interval.
@@ -91,7 +114,35 @@ class RecordedPair(VideoPair[RecordedVideo]):
         tolerance_s = _TOLERANCE_INTERVALS / max(left.fps, right.fps)
         super().__init__(left, right, tolerance_s=tolerance_s, max_ahead_bytes=MAX_LOOK_AHEAD_BYTES)
         self._n_pairs, self._nearest_s = 0, math.inf
+        self._clock_notes: list[str] = []
+        right.offset_s = _suggested_offset_s(left, right)
+        if right.offset_s:
+            self._clock_notes.append(
+                f"{left.path} starts at {left.first_time_s:.2f} s and {right.path} at "
+                f"{right.first_time_s:.2f} s of clocks without a common origin: both are taken to "
+                "start together."
+            )
         self._sides = self._new_sides()
+
+    def use_offset(self, offset: ClockOffset) -> bool:
+        """Pair by what images show of the clocks, in addition to the present offset; returns whether
+        that changes the pairs.
+        """
+        if offset.kind == "unknown":
+            self._clock_notes.append(
+                "The images of the first seconds do not show which moments of the two videos "
+                "belong together: the pairs follow from the times of the files, and stereo is "
+                "wrong if these are."
+            )
+        if offset.kind != "found" or abs(offset.value_s) < _MIN_OFFSET_INTERVALS / self.left.fps:
+            return False
+        self.right.offset_s += offset.value_s
+        self._clock_notes = [
+            f"{self.right.path}: {self.right.offset_s:+.2f} s are added to its times, since its "
+            f"images then show the moments of {self.left.path} ({offset.points:.0f} points in equal "
+            f"rows, {offset.other_points:.0f} at other moments)."
+        ]
+        return True
 
     def _new_sides(self) -> tuple[_Side, _Side]:
         left, right = (
@@ -114,7 +165,8 @@ class RecordedPair(VideoPair[RecordedVideo]):
         )
         has_equal_rates = abs(left_hz - right_hz) <= _RATE_DIFFERENCE * max(left_hz, right_hz)
         unpaired = *self._unpaired_notes(left, right), *self._unpaired_notes(right, left)
-        return unpaired if has_equal_rates else rates + unpaired
+        notes = *self._clock_notes, *unpaired
+        return notes if has_equal_rates else rates + notes
 
     def pairs(self) -> Generator[Pair, None, None]:
         """Pair the earlier of two frames with the later frame, unless the successor of the earlier

@@ -127,9 +127,14 @@ def has_second_view(path: Path) -> bool:
 
 
 def stereo_tracks(video: Video) -> tuple[int, ...]:
-    """Numbers of the video tracks of a file that are as large as the largest track."""
-    largest = max(video.tracks_px, key=math.prod, default=None)
-    return tuple(number for number, size_px in enumerate(video.tracks_px) if size_px == largest)
+    """Numbers of the video tracks of a file that are as large as the largest track of images."""
+    tracks_px = {
+        number: size_px
+        for number, size_px in enumerate(video.tracks_px)
+        if number not in video.depth_tracks
+    }
+    largest = max(tracks_px.values(), key=math.prod, default=None)
+    return tuple(number for number, size_px in tracks_px.items() if size_px == largest)
 
 
 def matching_halves(images: Sequence[Image]) -> FoundLayout | None:

@@ -85,10 +85,15 @@ class VideoPair(ABC, Generic[V]):
                 yield self._ahead.popleft()()
             yield from unread
 
-    def close(self) -> None:
-        """Stop reading, free the buffer, and close both videos."""
+    def restart(self) -> None:
+        """Free the buffer, and read from the start again."""
         self._ahead.clear()
         if self._unread is not None:
             self._unread.close()
+        self._unread, self._n_bytes = None, 0
+
+    def close(self) -> None:
+        """Stop reading, free the buffer, and close both videos."""
+        self.restart()
         self.left.close()
         self.right.close()

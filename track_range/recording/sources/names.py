@@ -81,15 +81,15 @@ class RecordingPath(RecordedName):
             file.suffix.lower() in IMAGE_SUFFIXES for file in files
         )
         if is_pattern_of_images or (files == [path] and path.is_dir()):
-            return ImageFolder(path, fps=options.folder_fps, bayer=options.bayer)
+            return ImageFolder(path, fps=options.fps, bayer=options.bayer)
         if len(files) > 1:
-            return SegmentedVideo(path, files, left=left, track=options.track)
+            return SegmentedVideo(path, files, left=left, track=options.track, fps=options.fps)
         if path.is_fifo():
             raise VideoError(
                 f"{path}: expected a video file, found a named pipe; give a stream by its address, "
                 "such as udp://127.0.0.1:5000, or record it to a file first."
             )
-        return VideoFile(files[0], options.track)
+        return VideoFile(files[0], options.track, options.fps)
 
 
 class _PartOfRecording(RecordedName):

@@ -1,6 +1,5 @@
 """open_video: the file, files, folder or topic of a bag with a name, as a `RecordedVideo`."""
 
-from dataclasses import replace
 from typing import Unpack
 
 from track_range.recording.sources.names import VideoName, recorded
@@ -24,4 +23,4 @@ def open_video(
     of `left`. Raises VideoError if the path does not exist or is no video, nothing can be decoded,
     or the images are too small.
     """
-    return recorded(name).open(replace(options, **keywords), left)
+    return recorded(name).open(options.replaced(keywords), left)

@@ -50,7 +50,7 @@ def motion_of(
     camera: PinholeCamera,
     *,
     start_s: float,
-    folder_fps: float,
+    fps: float | None = None,
     span_s: float = SPAN_S,
     max_images: int | None = None,
     travel_from_camera: FloatArray | None = None,
@@ -65,7 +65,7 @@ def motion_of(
     """
     rows: list[tuple[float, float, float, float]] = []
     with suppress(UserError, av.FFmpegError):  # the run reports what it cannot read
-        reader = open_video(video, folder_fps=folder_fps, start_s=start_s, duration_s=span_s)
+        reader = open_video(video, fps=fps, start_s=start_s, duration_s=span_s)
         size_px = reader.width_px, reader.height_px
         if reader.shown_size_px == camera.size_px:
             camera = camera.resized(size_px)

@@ -24,6 +24,27 @@ def natural_key(name: str) -> list[tuple[int, int, str]]:
     ]
 
 
+# GX020001: chapter 2 of recording 1; GOPR0001: the first chapter of earlier cameras (GoPro)
+_CHAPTER = re.compile(
+    r"(?<![a-z0-9])(?:gopr|g[a-z](?P<chapter>\d\d))(?P<recording>\d{4})(?!\d)", re.IGNORECASE
+)
+
+
+def recording_of_chapter(name: str) -> str | None:
+    """Number of the recording of which a file is a chapter; None = the name does not show it."""
+    match = _CHAPTER.search(name)
+    return match["recording"] if match else None
+
+
+def recording_key(name: str) -> list[tuple[int, int, str]]:
+    """Sorting key of files of a recording: chapters after the number of their recording, else
+    `natural_key`.
+    """
+    return natural_key(
+        _CHAPTER.sub(lambda match: f"G{match['recording']}.{match['chapter'] or '00'}", name)
+    )
+
+
 def stem_of_path(path: Path) -> str:
     """The stem of a file, or the name of the folder of a pattern."""
     return (path.absolute().parent.name or "recording") if is_pattern(path) else path.stem

@@ -1,9 +1,11 @@
 """RecordingOptions: how a recording is opened, and which part of it is read."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypedDict
+from typing import Any, Self, TypedDict
 
 from track_range.recording.video.layouts import Bayer, LayoutOption
 from track_range.stereo.geometry.alignment import Alignment
@@ -30,7 +32,8 @@ class RecordingOptions:
         start_s: start of the part to read, in seconds after the left video's first frame.
         duration_s: length of the part to read; None = to the end.
         every: N = every N-th frame is read; the checks of a recorded pair use all frames.
-        folder_fps: frame rate of folders of images without timestamps.txt.
+        fps: frame rate of images without times: folders without timestamps.txt, and streams without
+            a container; None = as stated, else assumed, with a note. Also `folder_fps`.
         has_checks: whether calibrated pairs are checked for swapped, misaligned or unsynchronised
             videos, and frames that lag are re-paired.
         start_utc: UTC of the left video's first frame, in ISO 8601; None = from the video.
@@ -52,13 +55,20 @@ class RecordingOptions:
     start_s: float = 0.0
     duration_s: float | None = None
     every: int = 1
-    folder_fps: float = 10.0
+    fps: float | None = None
     has_checks: bool = True
     start_utc: str | None = None
     topics: Sequence[str] = ()
     stereo_layout: LayoutOption | None = None
     track: int | None = None
     bayer: Bayer | None = None
+
+    def replaced(self, keywords: RecordingKeywords) -> Self:
+        """The options with others by keyword."""
+        given: dict[str, Any] = dict(keywords)
+        if "folder_fps" in given:
+            given.setdefault("fps", given.pop("folder_fps"))
+        return replace(self, **given)
 
 
 class RecordingKeywords(TypedDict, total=False):
@@ -73,7 +83,8 @@ class RecordingKeywords(TypedDict, total=False):
     start_s: float
     duration_s: float | None
     every: int
-    folder_fps: float
+    fps: float | None
+    folder_fps: float | None  # earlier name of `fps`
     has_checks: bool
     start_utc: str | None
     topics: Sequence[str]

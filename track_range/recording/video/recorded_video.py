@@ -7,6 +7,7 @@ import time
 from abc import abstractmethod
 from collections.abc import Generator, Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 from track_range.foundation.prefetch import prefetch
@@ -31,7 +32,9 @@ class RecordedVideo(Video):
 
     # whether this is the first track of a video file, stored without a rotation
     is_upright_file = False
-    _part_s: tuple[float, float] | None = None  # file times
+    # added to the times of the file: of the right video of a pair whose clocks have other origins
+    offset_s = 0.0
+    _part_s: tuple[float, float] | None = None  # file times, of the left video of a pair
 
     @property
     def parts(self) -> tuple[VideoPart, ...]:
@@ -44,7 +47,7 @@ class RecordedVideo(Video):
         """See `Video`."""
         if self.n_total is None or self._part_s is None:
             return self.n_total
-        from_s, until_s = self._part_s
+        from_s, until_s = (bound_s - self.offset_s for bound_s in self._part_s)
         if from_s <= self.first_time_s and math.isinf(until_s):
             return self.n_total
         end_s = min(until_s, self.first_time_s + self.n_total / self.fps)
@@ -91,7 +94,10 @@ class RecordedVideo(Video):
         return prefetch(self, depth=FRAMES_AHEAD, low_priority=True, name=name)
 
     def __iter__(self) -> Generator[VideoFrame, None, None]:
-        from_s, until_s = self._part_s or (self.first_time_s, math.inf)
+        offset_s = self.offset_s
+        from_s, until_s = self.first_time_s, math.inf
+        if self._part_s is not None:
+            from_s, until_s = (bound_s - offset_s for bound_s in self._part_s)
         is_empty = True
         with closing(self.frames(from_s, until_s)) as frames:
             while True:
@@ -101,7 +107,7 @@ class RecordedVideo(Video):
                 if frame is None:
                     break
                 is_empty = False
-                yield frame
+                yield replace(frame, time_s=frame.time_s + offset_s) if offset_s else frame
         self.check_unchanged()
         if is_empty:
             end_s = (

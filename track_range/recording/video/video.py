@@ -36,13 +36,15 @@ class Video(ABC):
     pixel_aspect: float | None = None
     is_grey: bool  # whether the first frame has no colour
     fps: float  # nominal frame rate
-    has_times = True  # whether frames have recorded times; else their times follow from a rate
+    has_origin = True  # whether the times count from a moment that other sources may share
+    time_question: str = ""  # what has to be given, since the times are not known; empty = nothing
     first_time_s: float  # time of the first frame, independent of the part that is read
     n_total: int | None = None  # estimated number of frames of the whole source; None = unknown
     # tags in the header of a single video file, and of its video stream; empty for other sources
     metadata: Mapping[str, str] = {}
     # (width, height) of the tracks of a file, unless one is chosen
     tracks_px: tuple[tuple[int, int], ...] = ()
+    depth_tracks: frozenset[int] = frozenset()  # those of depth or infrared images beside others
     # where the images have those of two cameras; None = not stated
     stated_layout: StereoLayout | None = None
     camera: CameraInfo | None = None  # calibration that the source contains; None = none

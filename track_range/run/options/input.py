@@ -184,15 +184,18 @@ class InputOptions(Options):
             instead="clips of a fleet are recordings, which are processed as fast as possible",
         ),
     ] = False
-    folder_fps: Annotated[
-        float,
+    fps: Annotated[
+        float | None,
         _clip_option(
-            "Frame rate of folders of images, which have no timestamps.",
+            "Frame rate of images without times: folders of images, MJPEG and H.264 streams "
+            "without a container, and AVI files whose rate is wrong (default: the rate that the "
+            "stream states, else 10 for folders and 25 for streams, with a note).",
             metavar="FPS",
             ge=0.01,
             le=1000,
+            old_names=("folder_fps",),
         ),
-    ] = 10.0
+    ] = None
     bayer: Annotated[
         Bayer | None,
         _clip_option(

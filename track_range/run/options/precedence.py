@@ -24,7 +24,9 @@ def settings_from(options: Mapping[str, Any], file: Path | None = None) -> RunSe
     invalid value in it ConfigError.
     """
     base = read_settings(file) if file else {}
-    given = {key: value for key, value in options.items() if value is not None}
+    given = RunSettings.with_current_names(
+        {key: value for key, value in options.items() if value is not None}
+    )
     for one, other in _ALTERNATIVES:
         for key, alternative in ((one, other), (other, one)):
             if key in given and alternative not in given:

@@ -17,6 +17,9 @@ from track_range.run.options.input import plain_name
 from track_range.run.options.paths import FILES, PATHS
 from track_range.run.options.settings import RunSettings
 
+# of `folder_fps`, which files of earlier versions also have for videos with a rate of their own
+_FORMER_DEFAULT_HZ = 10.0
+
 
 def read_settings(file: Path) -> dict[str, Any]:
     """Values in a settings.yaml, which are not validated; ConfigError if it cannot be read, or is
@@ -40,7 +43,9 @@ def read_settings(file: Path) -> dict[str, Any]:
             )
     if not isinstance(run, dict) or not all(isinstance(key, str) for key in run):
         raise ConfigError(f"{file}: expected a section 'run:' with the settings of the run.")
-    return run
+    if run.get("folder_fps") == _FORMER_DEFAULT_HZ:
+        del run["folder_fps"]
+    return RunSettings.with_current_names(run)
 
 
 def save_settings(

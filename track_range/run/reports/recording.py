@@ -43,20 +43,8 @@ class RecordedCameras(Reports):
     region: Region
 
     def notes(self) -> Sequence[str]:
-        """Notes on the reading and the calibration, and on an assumed frame rate."""
-        return (*self.recording.notes, *self._assumed_rate())
-
-    def _assumed_rate(self) -> Sequence[str]:
-        """A note on images without times for which the user gave no frame rate."""
-        has_times = all(video.has_times for video in self.recording.videos)
-        fps = self.settings.folder_fps
-        if has_times or fps != RunSettings.model_fields["folder_fps"].default:
-            return ()
-        rate = f"their times follow from {fps:g} frames per second"
-        return (
-            f"The images have no times: {rate}, on which all speeds depend. Give the rate with "
-            "--folder-fps.",
-        )
+        """Notes on the reading and the calibration."""
+        return self.recording.notes
 
     def summary(self) -> Mapping[str, Any]:
         """The camera models with which the run measured."""

@@ -157,7 +157,7 @@ def test_parameters_show_panel_metavar_and_bounds():
 def test_only_given_parameters_name_their_defaults():
     listed = {item.name: item for item in parameters(RunSettings, is_only_given=True)}
     assert {item.default for item in listed.values()} == {None}
-    assert "(default: 10)" in listed["folder_fps"].annotation.__metadata__[0].help
+    assert "(default: 0)" in listed["yaw_deg"].annotation.__metadata__[0].help
     assert "sgbm_options" not in listed
 
 

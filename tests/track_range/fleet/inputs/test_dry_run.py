@@ -76,7 +76,7 @@ def test_folder_of_images(tmp_path, level):
 
     for number in range(3):
         cv2.imwrite(str(tmp_path / f"{number:06d}.png"), level(number))
-    (checked,) = check(Clip("a", str(tmp_path)), focal_px=50, folder_fps=5)
+    (checked,) = check(Clip("a", str(tmp_path)), focal_px=50, fps=5)
     assert (checked.size_px, checked.fps, checked.problems) == ((64, 48), 5, ())
     assert checked.duration_s == pytest.approx(0.6)
 

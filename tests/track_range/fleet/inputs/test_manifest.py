@@ -94,6 +94,12 @@ def test_names_without_the_column_clip(tmp_path):
     assert [clip.name for clip in clips] == ["b", "c", "d", "day1/a", "e.1"]
 
 
+def test_earlier_name_of_a_setting(tmp_path):
+    path = write_manifest(tmp_path, "left,folder_fps\na.mp4,20\n")
+    (clip,) = clips_of([path], None, None)
+    assert (clip.settings, clip.labels) == ({"fps": "20"}, {})
+
+
 def test_rig_option_and_column(tmp_path, filled):
     filled(tmp_path, "v1.yaml", "own.yaml")
     path = write_manifest(

@@ -51,7 +51,7 @@ def written(tmp_path_factory):
 
 @pytest.mark.parametrize(("gop", "n"), [(5, 41), (60, 52)])
 def test_expansion_from_pairs_and_from_all_frames(written, gop, n):
-    motion = motion_of(written(gop), CAMERA, start_s=0.0, folder_fps=10.0)
+    motion = motion_of(written(gop), CAMERA, start_s=0.0)
     assert abs(len(motion.time_s) - n) <= 1
     assert np.median(motion.expansion_hz) == pytest.approx(EXPANSION_HZ, rel=0.15)
     assert np.abs(np.median(motion.yaw_rad_s)) < 0.1
@@ -60,18 +60,18 @@ def test_expansion_from_pairs_and_from_all_frames(written, gop, n):
 
 
 def test_part_of_a_video(written):
-    motion = motion_of(written(15), CAMERA, start_s=3.0, folder_fps=10.0, span_s=2.0)
+    motion = motion_of(written(15), CAMERA, start_s=3.0, span_s=2.0)
     assert motion.time_s[0] == pytest.approx(3.07, abs=0.01)
     assert motion.time_s[-1] < 5.0
 
 
 @pytest.mark.parametrize("gop", [5, 60])
 def test_large_images_are_read_in_part(written, gop):
-    motion = motion_of(written(gop), CAMERA, start_s=0.0, folder_fps=10.0, max_images=10)
+    motion = motion_of(written(gop), CAMERA, start_s=0.0, max_images=10)
     assert 0 < len(motion.time_s) <= 10
 
 
 def test_unreadable_video_has_no_motion(tmp_path):
     (tmp_path / "a.mp4").write_bytes(b"no video")
     camera = replace(CAMERA)
-    assert len(motion_of(tmp_path / "a.mp4", camera, start_s=0.0, folder_fps=10.0).time_s) == 0
+    assert len(motion_of(tmp_path / "a.mp4", camera, start_s=0.0).time_s) == 0

@@ -29,7 +29,7 @@ def test_output_folder_is_named_after_the_left_video():
         ({"mono": Path("m.mp4"), "detector": "m", "rig": Path("r"), "focal_px": 7.0}, "--focal-px"),
         ({"mono": Path("m.mp4"), "detector": "m", "focal_px": -7.0}, "--focal-px: "),
         ({"mono": Path("m.mp4"), "detector": "m", "focal_px": float("inf")}, "--focal-px: "),
-        ({**PAIR, "folder_fps": float("inf")}, "--folder-fps: "),
+        ({**PAIR, "folder_fps": float("inf")}, "--fps: "),
     ],
 )
 def test_invalid_options(given, message):
@@ -37,6 +37,18 @@ def test_invalid_options(given, message):
         settings_from(given)
     assert message in str(raised.value)
     assert "\n" not in str(raised.value)
+
+
+def test_earlier_name_of_the_frame_rate(tmp_path):
+    assert settings_from({**PAIR, "folder_fps": 20}).fps == 20.0
+    text = (
+        "track_range_settings: 1\nrun: {{stereo: [l.mp4, r.mp4], detections: d, folder_fps: {}}}\n"
+    )
+    file = tmp_path / "settings.yaml"
+    for rate, kept in ((12.0, 12.0), (10.0, None)):  # 10 was the default, also of other videos
+        file.write_text(text.format(rate))
+        assert settings_from({}, file).fps == kept
+    assert settings_from({"folder_fps": 20}, file).fps == 20.0
 
 
 def test_settings_file_and_overriding_options(tmp_path, monkeypatch):

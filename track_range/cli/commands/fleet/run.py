@@ -90,7 +90,7 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
     problems: list[tuple[str, str]] = []
     seconds = 0.0
     checked_settings = {
-        key: options[key] for key in ("focal_px", "folder_fps", "stereo_layout") if key in options
+        key: options[key] for key in ("focal_px", "fps", "stereo_layout") if key in options
     }
     cameras = settings.rig_camera.split(",") if settings.rig_camera else ()
     has_camera = settings.camera is not None

@@ -17,7 +17,8 @@ import numpy.typing as npt
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import read_image
 from track_range.foundation.files.input_files import check_regular, counted
-from track_range.recording.sources.files.image_names import is_epoch, named_images
+from track_range.recording.sources.files.image_names import is_epoch, named_images, usual_step
+from track_range.recording.video.clock import assumed_rate_note
 from track_range.recording.video.frame import (
     TIME_EPSILON_S,
     VideoError,
@@ -29,6 +30,7 @@ from track_range.recording.video.layouts import Bayer
 from track_range.recording.video.recorded_video import RecordedVideo
 from track_range.recording.video.utc import ZONE_SPAN_S, UtcStart
 
+_ASSUMED_RATE_HZ = 10.0  # as of KITTI
 _DARK = 257  # smaller largest values belong to dark images with 16 bits
 
 
@@ -40,25 +42,29 @@ class ImageFolder(RecordedVideo):
     """Numbered images in one folder, in the order of their numbers; unreadable images are skipped.
 
     `fps` is the argument, or the median rate of times in names or beside them, which may be seconds
-    since 1970. Raises VideoError if there are no numbered images, two have the same number, one is
-    no regular file, or none is readable.
+    since 1970; without both it is assumed, with a note. Raises VideoError if there are no numbered
+    images, two have the same number, one is no regular file, or none is readable.
     """
 
     path: Path
     n_total: int
 
-    def __init__(self, path: Path, *, fps: float, bayer: Bayer | None = None) -> None:
+    def __init__(self, path: Path, *, fps: float | None = None, bayer: Bayer | None = None) -> None:
         self.path = path
         self._images, times_s, self._folder_notes, self._clock, self._is_local = named_images(path)
         self._states = [_state(image) for _, image in self._images]
         self.n_total = len(self._images)
-        self.has_times = times_s is not None
+        rate_hz = fps or _ASSUMED_RATE_HZ
+        if times_s is None and len(self._images) > 1:
+            rate_hz *= self._numbers_per_image(fps)
         self._has_stamps = times_s is not None and is_epoch(float(times_s[0]))
         steps_s = np.diff([] if times_s is None else times_s)
         steps_s = steps_s[steps_s > TIME_EPSILON_S]
-        self.fps = float(1 / np.median(steps_s)) if steps_s.size else fps
+        self.fps = float(1 / np.median(steps_s)) if steps_s.size else rate_hz
         self._times_s = (
-            [number / fps for number, _ in self._images] if times_s is None else times_s.tolist()
+            [number / rate_hz for number, _ in self._images]
+            if times_s is None
+            else times_s.tolist()
         )
         self._shift, self._bayer = 0, bayer
         # errors of unreadable images before the first readable one
@@ -69,6 +75,26 @@ class ImageFolder(RecordedVideo):
         self.is_grey, self.first_image = is_neutral(image), image
         self._n_backward = 0
         self._unreadable = self._leading
+
+    def _numbers_per_image(self, fps: float | None) -> int:
+        """How much the numbers in the names increase from image to image; notes on the rate."""
+        step = usual_step([number for number, _ in self._images])
+        if step == 1:
+            if fps is None:
+                self._folder_notes.append(assumed_rate_note(self.path, _ASSUMED_RATE_HZ))
+            return 1
+        growth = f"{self.path}: the numbers in the names increase by {step} from image to image"
+        if fps is not None:
+            self._folder_notes.append(
+                f"{growth}, so that {fps:g} frames/s is the rate of the images, and not of the "
+                "numbers."
+            )
+            return step
+        self.time_question = (
+            f"{growth}, as milliseconds do ({1000 / step:.3g} images/s), or numbers of frames of "
+            "which the others were left out; give the rate of these images with --fps (Python: fps)."
+        )
+        return 1
 
     @property
     def utc(self) -> UtcStart | None:

@@ -1,7 +1,8 @@
 """Names of the images of a folder: their order, the number or time in each, and the camera.
 
-time      a date (2026-01-31T14-25-30.123), a decimal (1305031102.175304), or 10 to 19 digits without leading zeros,
-in the unit (s, ms, us, ns) that gives a plausible frame rate; in all names, and different in each
+time      a date (2026-01-31T14-25-30.123, 260131_142530123), a time of day with a fraction (14-25-30.123, 142530123),
+a decimal (1305031102.175304, 1305031102_175304), or 10 to 19 digits without leading zeros, in the unit (s, ms, us,
+ns) that gives a plausible frame rate; in all names, and different in each
 number    the last field of digits that differs in each name, in the same order as all fields together
 else      natural order: fields of digits are compared as numbers
 
@@ -27,12 +28,25 @@ _DATE = re.compile(
     r"(?<!\d)((?:19|20)\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])[-_.T ]{0,3}"
     r"([01]\d|2[0-3])[-_.:h]?([0-5]\d)[-_.:m]?([0-5]\d)(?:[-_.,]?(\d{9}|\d{6}|\d{3}))?(?!\d)"
 )
+# of 2010 to 2049, without separators (ApolloScape)
+_SHORT_DATE = re.compile(
+    r"(?<!\d)([1-4]\d)(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])[-_]"
+    r"([01]\d|2[0-3])([0-5]\d)([0-5]\d)(?:[-_.]?(\d{9}|\d{6}|\d{3}))?(?!\d)"
+)
+_TIME_OF_DAY = re.compile(
+    r"(?<!\d)([01]\d|2[0-3])[-_.:h]?([0-5]\d)[-_.:m]?([0-5]\d)[-_.,]?(\d{9}|\d{6}|\d{3})(?!\d)"
+)
+# earliest time of day, and smallest median step, of names that are no counters with zeros in front
+_MIN_TIME_OF_DAY_S, _MIN_CLOCK_STEP_S = 60.0, 0.003
+_DAY_S = 86_400.0
+_SECONDS_AND_PARTS = re.compile(r"(?<!\d)(1\d{9})_(\d{9}|\d{6})(?!\d)")
 _DECIMAL = re.compile(r"(?<!\d)(\d+)\.(\d+)")
 _INTEGER = re.compile(r"(?<![\d.])([1-9]\d{9,18})(?![\d.])")
 _UNITS_S = (1.0, 1e-3, 1e-6, 1e-9)
 # plausible median times between frames, and a usual one
 _STEP_S, _USUAL_STEP_S = (5e-4, 20.0), 0.05
 _EPOCH_S = (6e8, 4.2e9)  # 1989 to 2103; a time in this range is taken as one since 1970
+_MIN_STEPS = 3  # number of steps from which there is a usual one
 _MAX_GAP = 100  # largest mean step of numbers that count frames
 # with the times of the images in a folder, in it or beside it; the first counts
 TIME_FILES = ("timestamps.txt", "times.txt", "data.csv", "timestamps.csv", "times.csv", "rgb.txt")
@@ -90,7 +104,7 @@ def named_images(folder: Path) -> NamedImages:
             f"({files[0].name}, not {right_files[0].name}); --stereo {folder} uses both."
         )
     files = sorted(files, key=lambda file: (natural_key(file.stem), file.name))
-    times_s = _times_in_names([file.stem for file in files])
+    times_s, is_date = _times_in_names([file.stem for file in files])
     if times_s is not None:
         order = np.argsort(times_s, kind="stable")
         files, times_s = [files[i] for i in order], times_s[order]
@@ -98,9 +112,7 @@ def named_images(folder: Path) -> NamedImages:
     stated = _stated_times(folder, [file for _, file in images], notes)
     if stated is not None:
         return NamedImages(images, stated[1], notes, stated[0], stated[2])
-    return NamedImages(
-        images, times_s, notes, "names of the images", _DATE.search(files[0].stem) is not None
-    )
+    return NamedImages(images, times_s, notes, "names of the images", is_date)
 
 
 def stereo_images(folder: Path) -> tuple[Path, Path] | None:
@@ -174,7 +186,8 @@ def _numbered(files: Sequence[Path], folder: Path, notes: list[str]) -> list[tup
             (np.diff(np.array(column, object)) > 0).all()
         )
         if is_number and column[-1] - column[0] < _MAX_GAP * len(files) and column[-1] < 2**63:
-            if n_missing := column[-1] - column[0] + 1 - len(files):
+            steps = np.diff(column) / usual_step(column)
+            if n_missing := int(np.maximum(np.rint(steps) - 1, 0).sum()):
                 notes.append(
                     f"{folder}: {counted(n_missing, 'number is', 'numbers are')} missing between "
                     f"{files[0].name} and {files[-1].name}, and are treated as dropped frames."
@@ -183,20 +196,55 @@ def _numbered(files: Sequence[Path], folder: Path, notes: list[str]) -> list[tup
     notes.append(
         f"{folder}: the numbers in the names are no frame numbers ({files[0].name}, "
         f"{files[-1].name}); the images are taken in the order of their names, at the frame rate "
-        "given by --folder-fps."
+        "given by --fps."
     )
     return list(enumerate(files))
 
 
-def _times_in_names(stems: Sequence[str]) -> FloatArray | None:
-    """(N,) times in seconds in the names; None if a name has no time, or two have the same time."""
+def usual_step(numbers: Sequence[int]) -> int:
+    """The usual difference of successive numbers, 1 where they are too few."""
+    return max(1, round(float(np.median(np.diff(numbers))))) if len(numbers) > _MIN_STEPS else 1
+
+
+def _times_in_names(stems: Sequence[str]) -> tuple[FloatArray | None, bool]:
+    """(N,) times in seconds in the names, None if a name has no time, or two have the same time; and
+    whether they are dates.
+    """
     if len(stems) < 2:
-        return None
-    dates = [list(_DATE.finditer(stem)) for stem in stems]
-    if all(dates):
-        times_s = _dates_s([matches[-1] for matches in dates])
+        return None, False
+    for pattern in (_DATE, _SHORT_DATE):
+        times_s = _dates_s(_last_matches(pattern, stems))
         if times_s is not None and _are_distinct(times_s):
-            return times_s
+            return times_s, True
+    times_s = _times_of_day_s(_last_matches(_TIME_OF_DAY, stems))
+    if times_s is None:
+        times_s = _numbers_s([_SECONDS_AND_PARTS.sub(r"\1.\2", stem) for stem in stems])
+    return times_s, False
+
+
+def _last_matches(pattern: re.Pattern[str], stems: Sequence[str]) -> list[re.Match[str]]:
+    """The last match in each name; empty if a name has none."""
+    matches = [list(pattern.finditer(stem)) for stem in stems]
+    return [in_name[-1] for in_name in matches] if all(matches) else []
+
+
+def _times_of_day_s(matches: Sequence[re.Match[str]]) -> FloatArray | None:
+    """(N,) seconds since midnight, beyond a day after the next one; None for counters."""
+    if not matches:
+        return None
+    parts = [match.groups() for match in matches]
+    times_s = np.array(
+        [3600 * int(h) + 60 * int(m) + int(s) + float(f"0.{part}") for h, m, s, part in parts]
+    )
+    if np.ptp(times_s) > _DAY_S / 2:
+        times_s[times_s < _DAY_S / 2] += _DAY_S
+    step_s = float(np.median(np.diff(np.sort(times_s))))
+    is_clock = times_s.min() >= _MIN_TIME_OF_DAY_S and _MIN_CLOCK_STEP_S <= step_s <= _STEP_S[1]
+    return times_s if is_clock and _are_distinct(times_s) else None
+
+
+def _numbers_s(stems: Sequence[str]) -> FloatArray | None:
+    """(N,) times in seconds of decimals or long numbers; None if there are none."""
     decimals = [_DECIMAL.findall(stem) for stem in stems]
     if all(decimals):
         readings = _decimals_s([parts[-1] for parts in decimals])
@@ -210,11 +258,11 @@ def _times_in_names(stems: Sequence[str]) -> FloatArray | None:
 
 
 def _dates_s(matches: Sequence[re.Match[str]]) -> FloatArray | None:
-    """(N,) seconds since 1970; None = a date does not exist, such as 30 February."""
-    texts = [
-        "{}-{}-{}T{}:{}:{}.{}".format(*(group or "0" for group in match.groups()))
-        for match in matches
-    ]
+    """(N,) seconds since 1970; None = there are none, or one does not exist, such as 30 February."""
+    if not matches:
+        return None
+    parts = [[group or "0" for group in match.groups()] for match in matches]
+    texts = ["{}-{}-{}T{}:{}:{}.{}".format(f"20{year}"[-4:], *others) for year, *others in parts]
     try:
         return np.array(texts, "datetime64[ns]").astype(np.int64) / 1e9
     except ValueError:

@@ -15,6 +15,7 @@ from collections.abc import Generator
 from contextlib import suppress
 
 import av
+import numpy as np
 from av.container import InputContainer
 from av.video.stream import VideoStream
 
@@ -22,6 +23,7 @@ from track_range.foundation.files.images import MAX_PIXELS
 from track_range.foundation.files.input_files import counted
 from track_range.foundation.prefetch import lower_thread_priority
 from track_range.recording.sources.live.address import LiveAddress
+from track_range.recording.video.clock import ASSUMED_RATE, has_clock
 from track_range.recording.video.frame import (
     TIME_EPSILON_S,
     VideoError,
@@ -38,6 +40,8 @@ _OPEN_S, SILENCE_S = 10.0, 5.0  # timeouts for opening a stream, and for its nex
 _SIZE_LIMIT = {"max_pixels": str(MAX_PIXELS)}  # FFmpeg's option for the largest size of an image
 _FALLBACK_RATE_HZ = 25.0  # of a stream that does not declare one
 _CAMERA_DELAY_S, _STREAM_DELAY_S = 0.1, 2.0  # largest delay from exposure to arrival; assumed
+# longest time and number of frame intervals for the rate of a stream without times
+_RATE_S, _N_STEPS = 2.0, 4
 # largest difference between timestamp and arrival of a stream on this machine's clock
 _SAME_CLOCK_S = 10.0
 # frames for the offset: 10 s at 30 Hz, in which clocks that differ by 50 ppm drift by 0.5 ms
@@ -122,13 +126,17 @@ class LiveVideo(Video):
         stream = container.streams.video[0]
         rate_hz = stream.average_rate or stream.guessed_rate
         self.fps = float(rate_hz) if rate_hz else _FALLBACK_RATE_HZ
+        self._has_clock = has_clock(container, stream)
         first = threading.Event()
         self.notify(first)
         self._thread = threading.Thread(
             target=self._read, args=(container, stream), name="live", daemon=True
         )
         self._thread.start()
-        if not (first.wait(_OPEN_S) and self._waiting):
+        first.wait(_OPEN_S)
+        if not self._has_clock:
+            self._wait_for_rate()
+        if not self._waiting:
             self.close()
             raise VideoError(
                 f"{address}: no frame received ({self.ended_by or 'timeout'}); check the camera."
@@ -141,6 +149,24 @@ class LiveVideo(Video):
         self._utc_from_monotonic_s = time.time() - time.monotonic()
         # time of `time.monotonic` at which the reading started
         self.first_time_s = self.waiting_s()[0][1]
+
+    def _wait_for_rate(self) -> None:
+        """Take the rate of the arrivals; raises VideoError if the source is one image."""
+        last_s = time.monotonic() + _RATE_S
+        steps_s = np.zeros(0)
+        while len(steps_s) < _N_STEPS and time.monotonic() < last_s and not self.is_over:
+            time.sleep(_RATE_S / 100)
+            # frames that arrived while the stream was opened come at once
+            arrivals_s = np.array([time_s for _, time_s in self.waiting_s()])
+            steps_s = np.diff(arrivals_s)[1:]
+        if self.has_ended and self.n_received <= 1:  # FFmpeg drops it where it does not buffer
+            self.close()
+            raise VideoError(
+                f"{self.path}: expected a stream, got a single image (a snapshot); give the "
+                "address of the camera's video stream."
+            )
+        if len(steps_s):
+            self.fps = float(1 / np.median(steps_s))
 
     @property
     def utc(self) -> UtcStart:
@@ -285,7 +311,7 @@ class LiveVideo(Video):
     def _enqueue(self, frame: av.VideoFrame) -> None:
         stamp_s = (
             None
-            if frame.pts is None or frame.time_base is None
+            if not self._has_clock or frame.pts is None or frame.time_base is None
             else float(frame.pts * frame.time_base)
         )
         index, self.n_received = self.n_received, self.n_received + 1
@@ -304,7 +330,11 @@ def _opened(address: LiveAddress) -> InputContainer:
             address.url,
             mode="r",
             format="v4l2" if address.is_camera else None,
-            options={**address.options, **_SIZE_LIMIT},
+            options={
+                **address.options,
+                **_SIZE_LIMIT,
+                **({} if address.is_camera else ASSUMED_RATE),
+            },
             timeout=(_OPEN_S, SILENCE_S),
         )
     except (av.FFmpegError, ValueError) as error:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from track_range.foundation.files.input_files import counted
-from track_range.recording.video.file_names import natural_key
+from track_range.recording.video.file_names import recording_key, recording_of_chapter
 from track_range.recording.video.frame import VideoError
 from track_range.recording.video.utc import STAMP_RESOLUTION_S, Stamp, UtcStart, start_of
 
@@ -70,7 +70,9 @@ def arranged(
     the overlap from the content, used where times with a resolution of 1 s leave it open.
     """
     _check_one_camera([file.path for file in files])
-    by_name = sorted(files, key=lambda file: natural_key(file.path.name))
+    by_name = _chapters(sorted(files, key=lambda file: recording_key(file.path.name)))
+    place = {file.path: file for file in by_name}
+    files = [place[file.path] for file in files]
     clock, notes = _clock(by_name)
     continuing = _continuing(by_name)
     if continuing is not None and clock is not None and [file for file, _ in clock] != continuing:
@@ -96,6 +98,23 @@ def arranged(
                 "their times, which is used."
             )
     return replace(plan, notes=(*notes, *_cut_notes(plan.facts, gaps_s)))
+
+
+def _chapters(files: Sequence[SegmentFacts]) -> list[SegmentFacts]:
+    """The files, in the order of their names, of which chapters with the date of their recording
+    follow each other.
+    """
+    chapters: list[SegmentFacts] = []
+    ends_s: dict[tuple[str, Stamp], float] = {}
+    for file in files:
+        number, stamp = recording_of_chapter(file.path.name), file.in_header
+        dated = file
+        if number is not None and stamp is not None:
+            start_s = ends_s.get((number, stamp), stamp.time_s)
+            ends_s[number, stamp] = start_s + file.duration_s
+            dated = replace(file, in_header=replace(stamp, time_s=start_s))
+        chapters.append(dated)
+    return chapters
 
 
 def _by_time_stamps(ordered: Sequence[SegmentFacts]) -> tuple[SegmentPlan, Sequence[float]]:

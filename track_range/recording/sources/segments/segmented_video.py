@@ -37,8 +37,8 @@ from track_range.recording.video.utc import UtcStart
 from track_range.recording.video.video import Video, VideoPart
 
 VIDEO_SUFFIXES = frozenset(
-    ".3g2 .3gp .asf .avi .dav .flv .h264 .h265 .hevc .insv .m2ts .m4v .mkv .mov .mp4 .mpeg .mpg "
-    ".mts .mxf .ogv .ts .vob .webm .wmv".split()
+    ".264 .265 .3g2 .3gp .asf .avi .dav .flv .h264 .h265 .hevc .insv .m2ts .m4v .mjpeg .mjpg .mkv "
+    ".mov .mp4 .mpeg .mpg .mts .mxf .ogv .ts .vob .webm .wmv".split()
 )
 
 _MAX_FILES = 20_000  # of a recording: two weeks in files of a minute
@@ -76,9 +76,11 @@ class SegmentedVideo(RecordedVideo):
         *,
         left: Video | None = None,
         track: int | None = None,
+        fps: float | None = None,
         is_listed: bool = False,
     ) -> None:
-        self.path, self._track, self._is_listed = name, track, is_listed
+        self.path, self._is_listed = name, is_listed
+        self._track, self._given_hz = track, fps
         self._setup_notes: list[str] = []
         self._reading_notes: list[str] = []
         if len(paths) > _MAX_FILES:
@@ -89,7 +91,10 @@ class SegmentedVideo(RecordedVideo):
         self._headers = self._readable(paths)
         facts = [
             SegmentFacts(
-                path, header.first_s, header.duration_s or count_packets(path)[1], *header.stamps
+                path,
+                header.first_s,
+                header.duration_s or count_packets(path, fps)[1],
+                *header.stamps,
             )
             for path, header in self._headers.items()
         ]
@@ -107,12 +112,9 @@ class SegmentedVideo(RecordedVideo):
         first = self._current
         self.width_px, self.height_px = first.width_px, first.height_px
         self.pixel_aspect = first.pixel_aspect
-        self.is_grey, self.fps = first.is_grey, first.fps
-        self.tracks_px, self.stated_layout, self.first_image = (
-            first.tracks_px,
-            first.stated_layout,
-            first.first_image,
-        )
+        self.is_grey, self.fps, self.has_origin = first.is_grey, first.fps, first.has_origin
+        self.tracks_px, self.depth_tracks = first.tracks_px, first.depth_tracks
+        self.stated_layout, self.first_image = first.stated_layout, first.first_image
         self.first_time_s = self._starts_s[0]
         counts = [
             self._headers[s.path].n_frames or round(s.duration_s * self.fps) for s in self._segments
@@ -203,7 +205,7 @@ class SegmentedVideo(RecordedVideo):
             if self._is_listed and not path.is_file():
                 FileState.of(path)  # raises the error: a named file is missing
             try:
-                header = VideoHeader.read(path, self._track)
+                header = VideoHeader.read(path, self._track, self._given_hz)
             except VideoError as error:
                 errors.append(error)
                 continue
@@ -244,7 +246,7 @@ class SegmentedVideo(RecordedVideo):
         """The first file that can be decoded; earlier files are left out."""
         while True:
             try:
-                return VideoFile(self._segments[0].path, self._track)
+                return VideoFile(self._segments[0].path, self._track, self._given_hz)
             except VideoError as error:
                 if len(self._segments) == 1:
                     raise
@@ -265,7 +267,7 @@ class SegmentedVideo(RecordedVideo):
             )
         self._headers[segment.path].state.check_unchanged(segment.path)
         try:
-            video = VideoFile(segment.path, self._track)
+            video = VideoFile(segment.path, self._track, self._given_hz)
         except VideoError as error:
             self._add_notes([f"Skipped: {error}"])
             return None

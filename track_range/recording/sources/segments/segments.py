@@ -37,5 +37,5 @@ class Segments(RecordedName):
 
         files = segmented_video.files_of_parts(self)
         return segmented_video.SegmentedVideo(
-            self, files, left=left, track=options.track, is_listed=True
+            self, files, left=left, track=options.track, fps=options.fps, is_listed=True
         )
