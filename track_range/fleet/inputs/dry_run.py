@@ -229,9 +229,7 @@ def check_clips(
     listings = FolderListings()
 
     def checked(clip: Clip) -> CheckedClip:
-        return _Check(
-            clip, listings, focal_px, fps, stereo_layout, has_camera, cameras
-        ).result()
+        return _Check(clip, listings, focal_px, fps, stereo_layout, has_camera, cameras).result()
 
     with ThreadPoolExecutor(threads) as pool:
         for start in range(0, len(clips), _BATCH):
