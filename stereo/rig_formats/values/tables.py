@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from track_range.stereo.geometry.rig import rigid_motion
 
-_NUMBER = r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d{1,3})?"
+_NUMBER = r"[-+]?\d++(?:\.\d*+)?+(?:[eE][-+]?\d{1,3})?+"
 _COLMAP_ROW = (
     r"^[ \t]*+(\d++)[ \t]++([A-Z][A-Z_]++)[ \t]++(\d++)[ \t]++(\d++)[ \t]++([-+\d.eE \t]++)$"
 )
@@ -26,7 +26,7 @@ DSO = re.compile(
 )
 ROBOTCAR = re.compile(
     rf"\A\s*+((?:{_NUMBER}[ \t]++){{3}}{_NUMBER})[ \t]*+\r?\n"
-    rf"(?:(?:{_NUMBER}[ \t]++){{3}}{_NUMBER}\s*+){{4}}\Z"
+    rf"(?:(?:{_NUMBER}[ \t]++){{3}}{_NUMBER}[ \t]*+(?:\r?\n|\Z)){{4}}\s*+\Z"
 )
 MRCAL = re.compile(r"['\"]lensmodel['\"]\s*+:")
 BASALT = re.compile(r'\A(?=[\s\S]*"T_imu_cam")[\s\S]*"camera_type"')
