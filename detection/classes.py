@@ -3,6 +3,7 @@
 import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -25,23 +26,26 @@ STATIC_CLASSES = ("traffic light", "traffic sign")  # classes that are not road 
 
 # fmt: off
 _SYNONYMS = {
-    "person": ("pedestrian", "people", "human", "walker", "man", "woman", "boy", "girl", "child", "adult"),
+    "person": ("pedestrian", "ped", "people", "human", "walker", "man", "woman", "boy", "girl", "child", "children",
+               "adult"),
     "bicycle": ("bike", "cycle", "push bike"),
     "car": ("vehicle", "automobile", "auto", "passenger car", "other vehicle", "land vehicle", "motor vehicle"),
     "motorcycle": ("motorbike", "motor", "motor bike", "motor cycle"),
     "bus": ("autobus",),
     "truck": ("lorry", "heavy truck"),
-    "traffic light": ("trafficlight", "light", "traffic signal", "traffic lights"),
-    "traffic sign": ("trafficsign", "sign", "road sign", "traffic signs"),
+    "traffic light": ("trafficlight", "light", "traffic signal"),
+    "traffic sign": ("trafficsign", "sign", "road sign"),
 }
 _KINDS = {
     "person": ("person sitting", "rider", "motorcyclist", "other person", "person on vehicle", "police officer"),
-    "bicycle": ("cyclist", "bicyclist"),
+    "bicycle": ("cyclist", "bicyclist", "biker"),
     "car": ("van", "taxi", "cab", "suv", "sedan", "hatchback", "minivan", "pickup", "pickup truck", "police car",
-            "limousine", "jeep", "ambulance", "emergency vehicle", "transporter"),
+            "limousine", "jeep", "ambulance", "vehicle.emergency.police",
+            "emergency vehicle", "transporter"),
     "motorcycle": ("scooter", "moped", "e bike"),
     "bus": ("minibus", "coach", "school bus", "bendy bus"),
-    "truck": ("trailer", "caravan", "construction vehicle", "vehicle.construction", "semi", "fire truck", "tanker"),
+    "truck": ("trailer", "caravan", "construction vehicle", "vehicle.construction", "semi", "fire truck", "tanker",
+              "heavy vehicle", "large vehicle"),
     "traffic sign": ("stop sign", "speed limit sign"),
 }
 # fmt: on
@@ -61,6 +65,25 @@ in `_KINDS` cover only a part of their class.
 Used for detectors, label files and boxes of other libraries. `KITTI_IGNORED` excludes some names in
 KITTI's ground truth.
 """
+
+# names of many kinds of objects: they say nothing of a kind that is not known by its own name
+_GENERAL = (
+    "human",
+    "vehicle",
+    "other vehicle",
+    "land vehicle",
+    "motor vehicle",
+    "auto",
+    "motor",
+    "light",
+    "sign",
+)
+# words that change the size of a class, not the class
+_SIZE_WORDS = frozenset("big small mid medium large heavy long short s m l xl".split())
+# of regions that are not evaluated
+_REGION_NAMES = ("dontcare", "don't care", "ignore", "ignored", "ignored region", "ignore region")
+# of a class that stands for no object
+_BACKGROUND_NAMES = ("background", "bg", "n/a")
 
 # by class_id: detectors confuse those of a group
 SAME_OBJECT_GROUP: IntArray = np.array([0, 1, 2, 1, 2, 2, 3, 4])
@@ -91,6 +114,23 @@ VOC_CLASSES = (
     "aeroplane", "bicycle", "bird", "boat", "bottle", "bus", "car", "cat", "chair", "cow", "diningtable", "dog",
     "horse", "motorbike", "person", "pottedplant", "sheep", "sofa", "train", "tvmonitor",
 )  # fmt: skip
+# of MOT16 and MOT20 by number (Milan et al., "MOT16", 2016, table 3); "" = the file has no classes
+MOT_CLASSES = (
+    "", "pedestrian", "person on vehicle", "car", "bicycle", "motorbike", "non motorized vehicle", "static person",
+    "distractor", "occluder", "occluder on the ground", "occluder full", "reflection", "crowd",
+)  # fmt: skip
+VISDRONE_CLASSES = (
+    "ignored region", "pedestrian", "people", "bicycle", "car", "van", "truck", "tricycle", "awning-tricycle", "bus",
+    "motor", "others",
+)  # Zhu et al., "Detection and tracking meet drones challenge", PAMI 2021, and its toolkit's readme  # fmt: skip
+CLASS_LISTS: Mapping[str, tuple[str, ...]] = {
+    "coco": COCO_CLASSES,
+    "coco-ids": COCO_CATEGORIES,
+    "voc": VOC_CLASSES,
+    "mot": MOT_CLASSES,
+    "visdrone": VISDRONE_CLASSES,
+}
+"""Lists of names by number, as `--names` takes them."""
 
 
 # for messages
@@ -112,13 +152,31 @@ def class_key(name: str) -> str:
 def road_class_of(name: str) -> str | None:
     """The road class of a name in another class list; None if it is not a road class.
 
-    In a name with dots, such as nuScenes' vehicle.bus.rigid, the last known part decides.
+    In a name with dots, such as nuScenes' vehicle.bus.rigid, the last known part decides, but not a
+    general one: vehicle.boat is no car. Plurals and sizes (big bus) do not matter.
     """
     key = class_key(name)
-    return next(
-        (ROAD_CLASS_OF[part] for part in (key, *reversed(key.split("."))) if part in ROAD_CLASS_OF),
-        None,
-    )
+    last, *parents = reversed(key.split("."))
+    without_size = " ".join(word for word in last.split() if word not in _SIZE_WORDS)
+    exact = [*_singulars(key), *_singulars(last)]
+    others = [form for form in (*_singulars(without_size), *parents) if form not in _GENERAL]
+    return next((ROAD_CLASS_OF[form] for form in exact + others if form in ROAD_CLASS_OF), None)
+
+
+def _singulars(name: str) -> tuple[str, ...]:
+    """A name and what it may be the plural of."""
+    return name, name.removesuffix("s"), name.removesuffix("es"), re.sub("ies$", "y", name)
+
+
+@lru_cache(maxsize=1024)  # files repeat few names
+def is_region_name(name: str) -> bool:
+    """Whether a label marks a region that is not evaluated, such as DontCare."""
+    return class_key(name).removesuffix("s") in _REGION_NAMES
+
+
+def is_background_name(name: str) -> bool:
+    """Whether a name in a list is that of the background, or of a number that is not used."""
+    return class_key(name) in _BACKGROUND_NAMES
 
 
 def road_class_id(name: str) -> int:

@@ -7,6 +7,7 @@ appended embedding (the format of nwojke/deep_sort).
 """
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -25,24 +26,22 @@ from track_range.detection.formats.tables.limits import MAX_FRAME, are_plausible
 from track_range.detection.formats.tables.table_checks import (
     first_frame_number,
     names_with_counts,
-    other_labels_note,
 )
-from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.detection.formats.video_labels.mot import mot_rows
 from track_range.detection.formats.video_labels.number_rows import read_number_rows
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.files.array_files import read_array
-from track_range.foundation.files.csv_tables import read_csv_table
-from track_range.foundation.files.input_files import MAX_TABLE_BYTES, first_line, read_text
+from track_range.foundation.files.input_files import MAX_TABLE_BYTES, read_text
 
 _MAX_FEATURE = 1e15  # of an embedding: sums of squares do not overflow in float32
 _MAX_SCORE = 1e6  # scores are probabilities, or margins of a few units
 # largest of scores that are read as per cent; margins hardly reach 10
 _MIN_PER_CENT, _MAX_PER_CENT = 10, 100
 _MAX_INVALID = 0.5  # fraction of invalid rows above which a file has another format
-_OWN_READERS = ("mot", "kitti", "tracks")  # formats that are read as detections by functions here
 # rrc: plain rows; tracks: a tracks.csv
 DetectionFormat = Literal["mot", "kitti", "rrc", "tracks", "labels"]
+_FORM_OF: Mapping[str, DetectionFormat] = {"kitti": "kitti", "tracks": "tracks"}
+_DESCRIPTION_OF = {"kitti": "KITTI rows", "tracks": "the observed rows of a tracks.csv"}
 
 
 class _Rows(NamedTuple):
@@ -156,63 +155,20 @@ def _rows(
     path: Path, default_class_id: int, video: VideoFacts, form: DetectionFormat | None
 ) -> _Rows:
     label_format = label_format_of(path, "detections")
-    if label_format.name not in _OWN_READERS:
-        table = label_format.read(path, video)
-        table = table.select(table.observed)  # as of tracks.csv
-        score = np.where(np.isnan(table.score), 1.0, table.score)
-        notes = (*table.notes, *other_labels_note(table, path))
-        unnamed = np.full(len(table), "")  # the notes have the names of other classes
-        return _Rows(
-            "labels",
-            label_format.title,
-            frame=table.frame,
-            xyxy_px=table.xyxy_px,
-            score=score,
-            class_id=table.class_id,
-            class_name=unnamed,
-            notes=notes,
-            is_rectified=table.video.is_rectified,
-        )
-    if label_format.name == "kitti":
-        labels = read_kitti(path)
-        score = np.where(np.isfinite(labels.score), labels.score, 1.0)
-        class_id = map_to_road_classes([str(name) for name in labels.kitti_type])
-        return _Rows(
-            "kitti",
-            "KITTI rows",
-            frame=labels.frame,
-            xyxy_px=labels.xyxy_px,
-            score=score,
-            class_id=class_id,
-            class_name=labels.kitti_type,
-        )
-    is_tracks = not os.path.isdir(path) and first_line(
-        path, LabelFileError, "detections"
-    ).startswith("frame,")
-    return (
-        _tracks_csv_rows(path) if is_tracks else _number_rows(path, default_class_id, video, form)
-    )
-
-
-def _tracks_csv_rows(path: Path) -> _Rows:
-    expected = ("frame", "x1_px", "y1_px", "x2_px", "y2_px", "score", "observed")
-    table = read_csv_table(path, LabelFileError, f"columns {', '.join(expected)}, class")
-    table.require((*expected, "class"))
-    cells = np.stack([table.finite(name) for name in expected], axis=1)
-    is_frame = (np.abs(cells[:, 0]) <= MAX_FRAME) & (np.rint(cells[:, 0]) == cells[:, 0])
-    table.check("frame", is_frame, f"an integer from 0 to {MAX_FRAME}")
-    observed = cells[:, 6] == 1
-    names = np.array(table.texts("class"), np.str_)[observed]
-    cells = cells[observed]
+    if label_format.name == "mot":
+        return _number_rows(path, default_class_id, video, form)
+    table = label_format.read(path, video)
+    table = table.select(table.observed)  # as of tracks.csv
     return _Rows(
-        "tracks",
-        "the observed rows of a tracks.csv",
-        frame=cells[:, 0].astype(np.int64),
-        xyxy_px=cells[:, 1:5],
-        score=cells[:, 5],
-        class_id=map_to_road_classes(names.tolist()),
-        class_name=names,
-        is_rectified=True,
+        _FORM_OF.get(label_format.name, "labels"),
+        _DESCRIPTION_OF.get(label_format.name, label_format.title),
+        frame=table.frame,
+        xyxy_px=table.xyxy_px,
+        score=np.where(np.isnan(table.score), 1.0, table.score),
+        class_id=table.class_id,
+        class_name=np.where(table.is_region, "", table.class_name),
+        notes=table.notes,
+        is_rectified=table.video.is_rectified,
     )
 
 
@@ -223,7 +179,7 @@ def _number_rows(
     table = read_number_rows(path, LabelFileError, "detections")
     if not table.lines:
         raise LabelFileError(f"{path}: expected detections, got only comments.")
-    rows = mot_rows(table, n_frames=video.n_frames, form=form)
+    rows = mot_rows(table, n_frames=video.n_frames, form=form, names=video.names)
     names = rows.class_name
     is_named = np.array([name != "" for name in names], np.bool_)
     class_id = np.where(is_named & ~rows.is_region, map_to_road_classes(names), -1)

@@ -49,8 +49,8 @@ class OnnxSession:
     """A network with one image input, ready to run; ModelError if the file is no such network.
 
     Its images are (batch, 3, height, width) for all networks: they are transposed for an input
-    whose channels are last, reduced to the first channel for an input of a single channel, and
-    rounded for an input of uint8.
+    whose channels are last, reduced to the first channel for an input of a single channel, rounded
+    for an input of uint8, and a single image for an input without a batch.
 
     DETR-like networks may have the input `orig_target_sizes` as well; it is the size of the image
     input, so that boxes are in pixels of that input. `input_shape` has None for dimensions of
@@ -73,6 +73,8 @@ class OnnxSession:
             )
         self._input, self._size_input = _checked_inputs(path, self._session.get_inputs())
         shape = tuple(d if isinstance(d, int) else None for d in self._input.shape)
+        self._has_batch = len(shape) == 4
+        shape = shape if self._has_batch else (1, *shape)  # torchvision's input is one image
         self.has_channels_last = shape[1] not in (1, 3) and shape[3] in (1, 3)
         self.input_shape = (shape[0], shape[3], *shape[1:3]) if self.has_channels_last else shape
         self.n_channels = 1 if self.input_shape[1] == 1 else 3
@@ -101,7 +103,7 @@ class OnnxSession:
             blob = blob.transpose(0, 2, 3, 1)
         if self.has_integer_input:
             blob = np.clip(np.rint(blob), 0, 255).astype(np.uint8)
-        return np.ascontiguousarray(blob)
+        return np.ascontiguousarray(blob if self._has_batch else blob[0])
 
     def run(self, blob: FloatArray32) -> list[FloatArray32]:
         """The outputs as float32, in the file's order, for one input blob (batch, 3, height,
@@ -180,7 +182,7 @@ def check_model_file(path: Path) -> None:
 
 
 def _checked_inputs(path: Path, inputs: Sequence[Any]) -> tuple[Any, Any | None]:
-    images = [i for i in inputs if len(i.shape) == 4]
+    images = [i for i in inputs if len(i.shape) in (3, 4)]
     sizes = [
         i for i in inputs if i.name == TARGET_SIZES and len(i.shape) == 2 and i.type in _SIZE_TYPES
     ]

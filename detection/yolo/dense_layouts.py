@@ -207,6 +207,9 @@ _SSD_NAMES = "ssd ssd-last ssd-pixels ssd-pixels-last"
 def grid_boxes(network: NetworkOutputs) -> Iterator[YoloModel]:
     """Readings of one output with the boxes of all cells."""
     for i, n_rows, n_columns in network.matrices():
+        # auxiliary heads, as YOLOv9's, come before the main one
+        if network.shapes[i] in network.shapes[i + 1 :]:
+            continue
         for kind in _GRIDS:
             n_boxes, width = (n_columns, n_rows) if kind.is_transposed else (n_rows, n_columns)
             strides = network.grid_strides(n_boxes, kind.n_anchors, is_rounded_up=kind.is_binned)
@@ -229,6 +232,17 @@ def _grid_readings(
         n_classes, note = _n_classes(network, width - first)
         boxes, scores = part(slice(0, kind.n_box)), part(slice(first, first + n_classes))
     cells = GridCells.of(network.input_hw, strides, kind.n_anchors, is_rounded_up=kind.is_binned)
+    shape = network.shapes[output]
+    if network.shapes.count(shape) > 1:
+        same = [
+            name
+            for name, other in zip(network.names, network.shapes, strict=True)
+            if other == shape
+        ]
+        note = (
+            f"The last of the outputs {', '.join(same)} is read, since an auxiliary head comes "
+            "before the main one, as in YOLOv9. Export one output to choose another."
+        )
     is_tiny = kind.n_anchors == _ANCHORS_PER_CELL and len(strides) == 2
     for name in kind.names.split():
         reading = _READINGS[name]

@@ -26,7 +26,14 @@ import numpy.typing as npt
 
 from track_range.detection.box_errors import BoxErrors
 from track_range.detection.boxes import are_valid_boxes, nms
-from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP, map_to_road_classes
+from track_range.detection.classes import (
+    COCO_CATEGORIES,
+    ROAD_CLASSES,
+    SAME_OBJECT_GROUP,
+    VOC_CLASSES,
+    map_to_road_classes,
+    road_class_of,
+)
 from track_range.detection.detections import Detections
 from track_range.detection.detector import MAX_IOU
 from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
@@ -247,6 +254,13 @@ class YoloDetector:
         notes = [*self._session.notes]
         if source != FROM_METADATA:
             notes.append(f"Class names of {name}: {source}.")
+        usual = {*COCO_CATEGORIES, *VOC_CLASSES}  # of which a note would be no news
+        unknown = [name for name in self.model.names if name not in usual | {"__background__"}]
+        if other := [name for name in unknown if road_class_of(name) is None]:
+            notes.append(
+                f"Boxes of {name} with other names than road classes are left out: "
+                f"{shortened(', '.join(other), 80)} (--names renames them)."
+            )
         if self.model.name != self.readings[0].name:
             notes.append(
                 f"The outputs of {name} are read as {self.model.name} "

@@ -14,6 +14,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from track_range.detection.classes import is_background_name
 from track_range.detection.models.onnx_session import TARGET_SIZES, ModelError
 from track_range.detection.yolo import decoders
 from track_range.detection.yolo.decoders import Candidates, Decoder, Part, corners
@@ -183,7 +184,9 @@ def labelled_rows(network: NetworkOutputs) -> Iterator[YoloModel]:
             code = corners(network.input_wh) if row.is_fraction else corners()
             boxes = row.boxes(i, code)
             model = _labelled(row.family, row.name, layout, boxes, row.input_format)
-            yield replace(model, note=note)
+            # rows of EfficientDet have COCO's ids
+            is_known = network.n_names is not None or shape[-1] > _N_COLUMNS
+            yield replace(model, note=note, is_numbering_known=is_known)
 
 
 def _note_on_columns(network: NetworkOutputs, n_columns: int) -> str:
@@ -295,6 +298,9 @@ class _Vectors(NamedTuple):
         return cls(flat, True, len(counts))
 
 
+_TENSORFLOW_NAMES = ("detection_boxes", "detection_classes", "detection_scores", "num_detections")
+
+
 class _LabelledOutputs(NamedTuple):
     """The outputs with labels, boxes and scores."""
 
@@ -304,6 +310,15 @@ class _LabelledOutputs(NamedTuple):
     n_boxes: int
     is_flat: bool  # whether labels are [N], else [1, N]
     has_count: bool  # whether another output is the number of boxes
+
+    @classmethod
+    def of_tensorflow(cls, network: NetworkOutputs) -> Self | None:
+        """The outputs that TensorFlow's detection API names so, among others; None without them."""
+        if not {*_TENSORFLOW_NAMES} <= {*network.names}:
+            return None
+        boxes, labels, scores, _ = map(network.names.index, _TENSORFLOW_NAMES)
+        n_boxes = network.shapes[boxes][-2]
+        return cls(labels, boxes, scores, n_boxes, is_flat=False, has_count=True)
 
     @classmethod
     def of(cls, network: NetworkOutputs) -> Self | None:
@@ -364,7 +379,7 @@ def labels_boxes_scores(network: NetworkOutputs) -> Iterator[YoloModel]:
     ModelError: nothing shows the unit of the boxes, since the network has neither the input
     `orig_target_sizes` nor an output with the number of boxes.
     """
-    outputs = _LabelledOutputs.of(network)
+    outputs = _LabelledOutputs.of_tensorflow(network) or _LabelledOutputs.of(network)
     if outputs is None:
         return
     rows = outputs.rows()
@@ -397,8 +412,11 @@ def labels_boxes_scores(network: NetworkOutputs) -> Iterator[YoloModel]:
 def _category_model(
     network: NetworkOutputs, family: str, name: str, layout: str, boxes: LabelledBoxes
 ) -> YoloModel:
-    """A network whose labels count the class names from 1, or are COCO's category ids."""
-    boxes = replace(boxes, first_label=int(network.n_names is not None))
+    """A network whose labels count the class names from 1, or are COCO's category ids; a list may
+    have the background as number 0.
+    """
+    has_background = network.n_names is not None and is_background_name(network.class_names[0])
+    boxes = replace(boxes, first_label=int(network.n_names is not None and not has_background))
     model = _labelled(family, name, layout, boxes, _STRETCHED_INPUT)
     return model if network.n_names else replace(model, n_classes=_N_CATEGORIES)
 
@@ -414,7 +432,7 @@ def logits_and_boxes(network: NetworkOutputs) -> Iterator[YoloModel]:
     classes of the same box with lower scores. Logits after the classes mean "no object".
     """
     pair = _logits_and_boxes(network)
-    if pair is None:
+    if pair is None or _LabelledOutputs.of_tensorflow(network) is not None:
         return
     logits, boxes = pair
     n_boxes, n_logits = network.shapes[logits][1:]

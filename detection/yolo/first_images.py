@@ -64,6 +64,7 @@ class FirstImages:
     _tallies: dict[str, _Tally] = field(default_factory=dict)
     _n_garbage: int = 0
     _n_strong: int = 0
+    _has_zero: bool = False  # whether a box had the class number 0
 
     def compare(
         self,
@@ -138,6 +139,8 @@ class FirstImages:
         self.n_checked += 1
         candidates = _candidates(reading, outputs)
         self.n_detected += len(candidates.score) + candidates.n_invalid
+        if not reading.is_numbering_known:
+            self._check_numbering(candidates)
         filling = area_px2(candidates.xyxy_net) >= _FILLING * input_hw[0] * input_hw[1]
         n_classes = len(np.unique(candidates.class_index[filling]))
         is_filled = n_classes >= _MAX_FILLING_CLASSES or np.count_nonzero(filling) > _MAX_FILLING
@@ -152,6 +155,18 @@ class FirstImages:
                 f"{self._n_strong} on the first images); choose another reading with --layout "
                 "(Python: layout; `track-range models info` lists them), or export the network "
                 "again (docs/how-to/detectors.md)."
+            )
+
+    def _check_numbering(self, candidates: Candidates) -> None:
+        """ModelError if class numbers without names may be COCO's ids, which count from 1, since no
+        box so far has 0.
+        """
+        self._has_zero |= bool((candidates.class_index == 0).any())
+        if self.n_detected and not self._has_zero:
+            raise ModelError(
+                f"{self.path}: expected class names, since its class numbers may count COCO's 80 "
+                "names from 0 or be COCO's ids from 1, found none; choose with --names coco or "
+                "--names coco-ids, or give their names."
             )
 
 

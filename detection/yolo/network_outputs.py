@@ -40,6 +40,8 @@ class YoloModel:
     is_square: bool = False
     name: str = ""  # of the reading, for `--layout`
     note: str = ""  # on what is ignored
+    # whether the class numbers surely count from 0; EfficientDet's rows have COCO's ids
+    is_numbering_known: bool = True
     # whether the outputs may have this meaning
     accepts: Callable[[Sequence[FloatArray32]], bool] | None = None
 
@@ -94,10 +96,15 @@ class NetworkOutputs:
                 yield i, shape[1], shape[2]
 
     @property
+    def class_names(self) -> tuple[str, ...]:
+        """The explicit class names; () without names."""
+        names: tuple[str, ...] = self.metadata.get("names", (), "").value
+        return names
+
+    @property
     def n_names(self) -> int | None:
         """Number of explicit class names; None without names."""
-        names = self.metadata.get("names", None, "").value
-        return None if names is None else len(names)
+        return len(self.class_names) or None
 
     @property
     def has_masks(self) -> bool:

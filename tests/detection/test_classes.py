@@ -79,9 +79,13 @@ def test_stop_signs_are_not_all_traffic_signs():
             "car",
         ),
         ("motor motorbike Motorcycle object--vehicle--motorcycle motor_bike", "motorcycle"),
-        ("Bus vehicle.bus.rigid", "bus"),
+        ("Bus vehicle.bus.rigid Buses big_bus bus-l-", "bus"),
+        ("Cars small_car", "car"),
+        ("Pedestrians Persons children", "person"),
+        ("biker Bicycles", "bicycle"),
         (
-            "Lorry truck trailer caravan construction_vehicle vehicle.construction Heavy_Truck",
+            "Lorry truck trailer caravan construction_vehicle vehicle.construction Heavy_Truck "
+            "Lorries truck-xl- heavy_vehicle LARGE_VEHICLE",
             "truck",
         ),
         ("traffic_light traffic-light TrafficLight", "traffic light"),
@@ -112,6 +116,10 @@ def test_names_that_are_no_road_class():
         "TYPE_UNKNOWN",
         "",
         "license plate",
+        "object--vehicle--boat",
+        "object--vehicle--on-rails",
+        "vehicle.train",
+        "big vehicle",
     )
     assert (map_to_road_classes(names) == -1).all()
     assert not fully_known(["rider", "Construction_Vehicle", "taxi"]).any()

@@ -127,10 +127,69 @@ def test_rows_that_are_no_labels_are_counted(tmp_path):
         (10, 20, 30, 40, np.nan, 2),
         (40, 20, 60, 40, 1.0004, 2),  # rounded in half precision
     )
-    detector = YoloDetector(write_outputs(tmp_path / "m.onnx", {"output0": rows}))
+    names = ModelOptions(names=COCO_CLASSES)
+    detector = YoloDetector(write_outputs(tmp_path / "m.onnx", {"output0": rows}), options=names)
     np.testing.assert_array_equal(detector.detect(IMAGE).score, [1.0])
     assert detector.n_invalid == 6
     assert any("6 boxes" in note for note in detector.notes)
+
+
+def test_rows_without_names_and_without_a_zero_are_a_question(tmp_path):
+    """EfficientDet's labels are COCO's ids, so that 3 is a car; those of YOLOv10 count from 0."""
+    path = write_outputs(tmp_path / "m.onnx", {"o": labelled_rows((10, 20, 30, 40, 0.9, 3))})
+    with pytest.raises(ModelError, match="--names coco or --names coco-ids"):
+        YoloDetector(path).detect(IMAGE)
+    for names, road in ((COCO_CLASSES, "motorcycle"), (COCO_CATEGORIES, "car")):
+        (class_id,) = YoloDetector(path, options=ModelOptions(names=names)).detect(IMAGE).class_id
+        assert ROAD_CLASSES[class_id] == road
+    rows = labelled_rows((10, 20, 30, 40, 0.9, 3), (40, 20, 50, 40, 0.9, 0))
+    detector = YoloDetector(write_outputs(tmp_path / "zero.onnx", {"o": rows}))
+    assert sorted(detector.detect(IMAGE).class_id.tolist()) == [0, 3]  # person, motorcycle
+
+
+def test_a_list_may_have_the_background_first(tmp_path):
+    """torchvision's labels count from 1, and its lists of categories have __background__."""
+    outputs = {
+        "boxes": np.float32([[10, 20, 30, 40], [40, 20, 50, 40]]),
+        "labels": np.int64([1, 2]),
+        "scores": np.float32([0.9, 0.8]),
+    }
+    path = write_outputs(tmp_path / "m.onnx", outputs)
+    for names in (("car", "bus"), ("__background__", "car", "bus"), ("N/A", "car", "bus")):
+        detector = YoloDetector(path, options=ModelOptions(names=names))
+        classes = [ROAD_CLASSES[i] for i in detector.detect(IMAGE).class_id]
+        assert (detector.model.name, classes) == ("torchvision", ["car", "bus"])
+
+
+def test_torchvisions_own_export_takes_one_image(tmp_path):
+    outputs = {
+        "boxes": np.float32([[10, 20, 30, 40], [40, 20, 50, 40]]),
+        "labels": np.int64([3, 6]),
+        "scores": np.float32([0.9, 0.8]),
+    }
+    path = write_outputs(tmp_path / "m.onnx", outputs, inputs={"image": (3, 64, 64)})
+    detections = YoloDetector(path).detect(IMAGE)
+    assert [ROAD_CLASSES[i] for i in detections.class_id] == ["car", "bus"]
+
+
+def test_all_outputs_of_tensorflows_detection_zoo(tmp_path):
+    n, n_raw = 5, 12
+    outputs = {
+        "detection_anchor_indices": np.float32([[3, 1, 0, 0, 0]]),
+        "detection_boxes": np.zeros((1, n, 4), np.float32),
+        "detection_classes": np.float32([[3, 1, 1, 1, 1]]),
+        "detection_multiclass_scores": np.zeros((1, n, 91), np.float32),
+        "detection_scores": np.float32([[0.9, 0.8, 0, 0, 0]]),
+        "num_detections": np.float32([2]),
+        "raw_detection_boxes": np.zeros((1, n_raw, 4), np.float32),
+        "raw_detection_scores": np.zeros((1, n_raw, 91), np.float32),
+    }
+    outputs["detection_boxes"][0, :2] = [[0.2, 0.1, 0.6, 0.4], [0.2, 0.6, 0.6, 0.7]]
+    detector = YoloDetector(write_outputs(tmp_path / "m.onnx", outputs))
+    detections = detector.detect(IMAGE)
+    assert detector.model.name == "tf-detections"
+    assert [ROAD_CLASSES[i] for i in detections.class_id] == ["car", "person"]
+    np.testing.assert_allclose(detections.xyxy_px[0] + 0.5, [16, 9.6, 64, 28.8], atol=0.01)
 
 
 def test_end_to_end_mark_in_metadata(tmp_path):

@@ -181,6 +181,28 @@ def test_sources_of_class_names(tmp_path):
     assert names_of(write_model(tmp_path / "voc.onnx", np.zeros((1, 3 * CELLS, 25)))) == VOC_CLASSES
 
 
+def test_names_that_are_no_road_classes_are_noted(tmp_path):
+    model = write_model(tmp_path / "m.onnx", np.zeros((1, 3 * CELLS, 10)))
+    names = ("Cars", "Pedestrians", "big bus", "on rails", "boat")
+    detector = YoloDetector(model, options=ModelOptions(names=names))
+    assert [ROAD_CLASSES[i] for i in detector.known_class_id] == ["person", "car", "bus"]
+    (note,) = [note for note in detector.notes if "left out" in note]
+    assert "on rails" in note
+    assert "boat" not in note  # COCO's other names are usual
+    assert "Cars" not in note
+
+
+def test_the_last_of_equal_outputs_is_read_with_a_note(tmp_path):
+    """YOLOv9's auxiliary head comes before the main one; here it is empty."""
+    main = np.zeros((1, 84, CELLS), np.float32)
+    main[0, :5, 0] = 20, 20, 20, 20, 0.9
+    model = write_model(tmp_path / "m.onnx", np.zeros_like(main), main)
+    detector = YoloDetector(model, options=ModelOptions(layout="yolov8"))
+    assert len(detector.detect(BLACK)) == 1
+    (note,) = [note for note in detector.notes if "auxiliary" in note]
+    assert "output0, output1" in note
+
+
 def names_of(model, **options):
     return YoloDetector(model, options=ModelOptions(**options)).model.names
 

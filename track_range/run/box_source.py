@@ -30,7 +30,7 @@ from track_range.foundation.files.input_files import quoted
 from track_range.recording.cameras.calibration import RecordingCalibration
 from track_range.recording.recording import Recording
 from track_range.run.options.detection import MASK_SUFFIXES, DetectionOptions
-from track_range.run.options.opened import DetectorOptions, open_detector
+from track_range.run.options.opened import DetectorOptions, class_names, open_detector
 from track_range.run.options.settings import RunSettings
 from track_range.stereo.geometry.frames import Frame
 
@@ -80,7 +80,8 @@ def open_box_source(
     """
     class_id = tuple(int(i) for i in road_class_ids(settings.classes))
     if settings.detections is not None:
-        return _recorded(settings.detections, class_id, recording)
+        names = class_names(settings.names) or ()
+        return _recorded(settings.detections, class_id, recording, names)
     return network_source(settings, ready_model, opened)
 
 
@@ -255,11 +256,14 @@ def class_name(value: object) -> str:
     return f"{type(value).__module__}:{type(value).__qualname__}"
 
 
-def _recorded(path: Path, class_id: tuple[int, ...], recording: Recording) -> BoxSource:
+def _recorded(
+    path: Path, class_id: tuple[int, ...], recording: Recording, names: tuple[str, ...]
+) -> BoxSource:
     # MOTChallenge files have no classes: a single one in --classes applies, else person, as in
     # MOTChallenge
     default_class_id = class_id[0] if len(class_id) == 1 else 0
-    video = VideoFacts(n_frames=recording.n_total, size_px=recording.calibration.sizes_px[0])
+    size_px = recording.calibration.sizes_px[0]
+    video = VideoFacts(n_frames=recording.n_total, size_px=size_px, names=names)
     recorded = read_detections(path, default_class_id=default_class_id, video=video)
     if not recorded.is_rectified:
         recorded = _rectified(recorded, recording)

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, TypedDict, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
+from track_range.detection.classes import ROAD_CLASSES, is_region_name, map_to_road_classes
 from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
@@ -38,6 +38,8 @@ class VideoFacts:
     provenance: Mapping[str, str] = field(default_factory=dict)
     # numbers of the frames that a written file lists; None = all
     frames: Sequence[int] | None = None
+    # names of class numbers, from 0, where a file has numbers only; () = not given
+    names: tuple[str, ...] = ()
 
     @property
     def pixels(self) -> str:
@@ -64,6 +66,7 @@ class VideoFacts:
             fps=self.fps or stated.fps,
             is_rectified=self.is_rectified or stated.is_rectified,
             provenance=self.provenance,
+            names=self.names,
         )
 
 
@@ -123,6 +126,8 @@ class BoxTable:
     sigma_m: FloatArray  # (N,) float64 standard deviation of the distance; NaN = unknown
     # (N, 3) float64 bottom centre of the object in the camera's frame; NaN = unknown
     location_m: FloatArray
+    # (N,) bool, regions that are not evaluated: they have neither a road class nor an identity
+    is_region: BoolArray
     video: VideoFacts = NO_FACTS
     notes: tuple[str, ...] = ()  # notes for the user about the file
 
@@ -150,13 +155,15 @@ class BoxTable:
     ) -> BoxTable:
         """A table from arrays or lists with rows in any order, or from one value for all rows.
 
-        Rows of `is_region` (N,) are regions that are not evaluated: they have neither a road class
-        nor an identity.
+        Rows of `is_region` (N,), or of a class such as DontCare, are regions that are not
+        evaluated. Distances that are not positive are unknown.
         """
         frames = np.asarray(frame, np.int64).reshape(-1)
         n = len(frames)
         names = [name.strip().lower() for name in class_name]
-        region = _column(is_region, np.bool_, n)
+        is_named = np.array([is_region_name(name) for name in names], np.bool_)
+        region = _column(is_region, np.bool_, n) | is_named
+        distance_m = _column(columns.get("distance_m", np.nan), np.float64, n)
         table = cls(
             frame=frames,
             track_id=np.where(region, -1, np.asarray(track_id, np.int64).reshape(-1)),
@@ -165,9 +172,10 @@ class BoxTable:
             xyxy_px=np.asarray(xyxy_px, np.float64).reshape(-1, 4),
             score=_column(columns.get("score", np.nan), np.float64, n),
             observed=_column(columns.get("observed", True), np.bool_, n),
-            distance_m=_column(columns.get("distance_m", np.nan), np.float64, n),
+            distance_m=np.where(distance_m > 0, distance_m, np.nan),
             sigma_m=_column(columns.get("sigma_m", np.nan), np.float64, n),
             location_m=_column(columns.get("location_m", np.nan), np.float64, n, 3),
+            is_region=region,
             video=video,
             notes=tuple(notes),
         )
@@ -184,16 +192,6 @@ class BoxTable:
         then other names.
         """
         return list(dict.fromkeys((*ROAD_CLASSES, *sorted(set(self.label)))))
-
-    @property
-    def is_region(self) -> BoolArray:
-        """(N,) mask of the regions that are not evaluated: named "dontcare", or a road class
-        without its class id.
-        """
-        named = map_to_road_classes([str(name) for name in self.class_name]) >= 0
-        return np.asarray(
-            (self.class_id < 0) & (self.track_id < 0) & (named | (self.class_name == "dontcare"))
-        )
 
     def select(self, rows: BoolArray | IntArray) -> BoxTable:
         """The rows that a mask or an index array selects, in its order."""

@@ -15,6 +15,7 @@ from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.tables.limits import MAX_FRAME
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.files.input_files import counted, quoted, shortened
+from track_range.foundation.files.numeric_text import number
 
 _MOST_NAMED = 5  # labels in a note
 _LAST_NUMBER = re.compile(r"(\d+)\D*$")
@@ -30,6 +31,28 @@ def check_identities(table: BoxTable, path: Path) -> None:
         raise LabelFileError(
             f"{path}: expected each track id at most once per frame, got id {table.track_id[row]} "
             f"twice in frame {table.frame[row]}."
+        )
+
+
+def check_upright(rotation: object, where: str) -> None:
+    """LabelFileError for a box with a rotation other than 0: neither the box before it nor the hull
+    has the size of the object.
+    """
+    if rotation in (None, "") or number(str(rotation)) == 0:
+        return
+    raise LabelFileError(
+        f"{where}: expected upright boxes, found the rotation {quoted(rotation)}; draw upright "
+        "boxes or polygons."
+    )
+
+
+def check_one_video(names: Iterable[object], path: Path) -> None:
+    """LabelFileError for boxes in the images of several videos or cameras."""
+    videos = sorted({str(name) for name in names if name not in (None, "")})
+    if len(videos) > 1:
+        raise LabelFileError(
+            f"{path}: expected the images of one video, found {len(videos)}: "
+            f"{shortened(', '.join(videos), 80)}; split the file."
         )
 
 

@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from track_range.detection.classes import COCO_CLASSES
 from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.tool_labels.label_studio import boxes_of_tasks
 from track_range.detection.formats.tool_labels.tool import (
@@ -77,13 +76,15 @@ BDD100K = Tool(
     identity="identity",
     score="box.score",
     is_region="box.attributes.crowd box.attributes.Crowd",
+    video="image.videoName image.video_name image.video",
 )
 
 
 def _shapes(content: Any) -> Iterator[Object]:
     for shape in content["shapes"]:
-        if shape.get("shape_type", "polygon") in ("rectangle", "polygon", "rotation"):
-            yield {"file": content, "shape": shape}
+        kind = shape.get("shape_type", "polygon")
+        is_box = kind in ("rectangle", "polygon", "rotation")
+        yield {"file": content, "shape": shape} | ({} if is_box else {"no_box": kind})
 
 
 # one file for each image; https://github.com/wkentaro/labelme
@@ -98,6 +99,7 @@ LABELME = Tool(
     identity="shape.group_id",
     score="shape.score",
     size_px=("file.imageWidth", "file.imageHeight"),
+    rotation="shape.direction",  # of X-AnyLabeling
     is_folder=True,
 )
 
@@ -118,6 +120,8 @@ LABEL_STUDIO = Tool(
         "result.original_width value.original_width data.original_width",
         "result.original_height value.original_height data.original_height",
     ),
+    rotation="value.rotation",
+    video="video",
 )
 
 
@@ -150,6 +154,8 @@ def _via_region(image: str, shape: Any, attributes: Any) -> Iterator[Object]:
     elif "all_points_x" in shape:
         points = list(zip(shape["all_points_x"], shape["all_points_y"], strict=True))
         yield region | {"points": points}
+    elif shape:
+        yield region | {"no_box": shape.get("name")}
 
 
 _VIA_NAMES: dict[str, Any] = {
@@ -181,8 +187,9 @@ def _supervisely_boxes(content: Any) -> Iterator[Object]:
     if "frames" not in content:
         for item in content["objects"]:
             kind = item.get("geometryType", "rectangle")
-            if item.get("points") and kind in ("rectangle", "polygon"):
-                yield {"file": content, "object": item, "points": item["points"]}
+            is_box = item.get("points") and kind in ("rectangle", "polygon", "oriented_bbox")
+            shape = {"points": item["points"]} if is_box else {"no_box": kind}
+            yield {"file": content, "object": item} | shape
         return
     objects = {
         item.get("key", item.get("id")): item | {"number": number}
@@ -191,8 +198,10 @@ def _supervisely_boxes(content: Any) -> Iterator[Object]:
     for frame in content["frames"]:
         for figure in frame["figures"]:
             item = objects[figure.get("objectKey", figure.get("objectId"))]
-            if points := figure["geometry"].get("points"):
-                yield {"file": content, "frame": frame, "object": item, "points": points}
+            shape = figure["geometry"]
+            if not shape.get("points"):
+                shape = {"no_box": figure.get("geometryType")}
+            yield {"file": content, "frame": frame, "object": item} | shape
 
 
 # annotations of images and videos; https://docs.supervisely.com
@@ -206,6 +215,7 @@ SUPERVISELY = Tool(
     edges=around("points.exterior", border_px=1),
     identity="object.number",
     size_px=("file.size.width", "file.size.height"),
+    rotation="angle object.angle",  # of an oriented_bbox
     is_folder=True,
 )
 
@@ -213,14 +223,14 @@ _SINK_FRAME = "frame frame_index frame_number frame_id frame_idx frame_no frame_
 
 
 def _sink_rows(content: Any) -> Iterator[Object]:
-    """Rows with the name of the class, which are COCO's where the rows have numbers only."""
+    """Rows with the name of the class, or its number."""
     for row in content:
         if value_at(row, _SINK_FRAME) is None:
             raise LabelFileError(
                 "expected the frame number among the custom data of supervision's sink, found "
                 "none; write it with sink.append(detections, custom_data={'frame_index': index})"
             )
-        yield row | {"label": row.get("class_name") or COCO_CLASSES[int(float(row["class_id"]))]}
+        yield row | {"label": row.get("class_name") or row["class_id"]}
 
 
 # JSONSink and CSVSink; https://supervision.roboflow.com
@@ -250,7 +260,7 @@ ROBOFLOW_CSV = Tool(
 
 def _voc_objects(content: Any) -> Iterator[Object]:
     (image,) = content["annotation"]
-    return ({"image": image, "object": item} for item in image.get("object", ()))
+    return ({"image": image, "object": item, **item} for item in image.get("object", ()))
 
 
 # Everingham et al., IJCV 2010, as CVAT, LabelImg and Roboflow write it
@@ -261,9 +271,10 @@ PASCAL_VOC = Tool(
     objects=_voc_objects,
     image="image.filename",
     label="object.name",
-    edges=corners("object.bndbox"),
+    edges=one_of(bndbox=corners("object.bndbox"), robndbox=centred("object.robndbox", "cx cy w h")),
     identity="object.track_id",
     size_px=("image.size.width", "image.size.height"),
+    rotation="object.robndbox.angle",  # of roLabelImg
     is_folder=True,
 )
 

@@ -25,11 +25,13 @@ def boxes_of_tasks(content: Any) -> Iterator[Object]:
         data = task.get("data", task)
         for number, result in enumerate(_results(task)):
             value = result["value"]
-            item = {"data": data, "result": result, "value": value}
+            item = {"data": data, "result": result, "value": value, "video": data.get("video")}
             if "sequence" in value:
                 yield from _track(item | {"number": number, "label": value["labels"][0]})
             elif labels := value.get("rectanglelabels"):
                 yield item | {"image": _image_name(data), "label": labels[0]}
+            elif kind := result.get("type"):
+                yield item | {"image": _image_name(data), "label": kind, "no_box": kind}
 
 
 def _results(task: Object) -> Sequence[Any]:
@@ -69,4 +71,5 @@ def _track(item: Object) -> Iterator[Object]:
         for frame in range(start, end):
             fraction = (frame - start) / (end - start)
             box = {s: float(key[s]) + (float(target[s]) - float(key[s])) * fraction for s in _SIDES}
-            yield {**item, "frame": frame, "value": {**value, **box}}
+            value = {**value, **box, "rotation": key.get("rotation")}
+            yield {**item, "frame": frame, "value": value}

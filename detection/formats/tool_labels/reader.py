@@ -5,13 +5,16 @@ Frames are given by number, or by the last number in the name of the image.
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from track_range.detection.boxes import HALF_PIXEL_PX
+from track_range.detection.classes import COCO_CLASSES
 from track_range.detection.formats.tables import table_checks
 from track_range.detection.formats.tables.box_table import BoxTable, VideoFacts
+from track_range.detection.formats.tables.class_names import names_for_folder
 from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.tables.label_format import (
     LabelFormat,
@@ -27,8 +30,9 @@ from track_range.detection.formats.tables.limits import (
 from track_range.detection.formats.tool_labels.annotation_tools import TOOLS
 from track_range.detection.formats.tool_labels.content import content_of
 from track_range.detection.formats.tool_labels.tool import MAX_BOXES, Tool, ToolBox
+from track_range.foundation.arrays import BoolArray
 from track_range.foundation.files.input_files import quoted
-from track_range.foundation.files.numeric_text import number, plain_number
+from track_range.foundation.files.numeric_text import number, numbers, plain_number
 
 _MAX_FILES = 200_000  # of a folder with one for each image
 # what access to values of unknown types raises
@@ -52,12 +56,11 @@ def read_tool(path: Path, tool: Tool, video: VideoFacts) -> BoxTable:
     files = label_files(path) if is_folder else [path]
     if len(files) > _MAX_FILES:
         raise LabelFileError(f"{path}: expected at most {_MAX_FILES} files, found {len(files)}.")
-    boxes: list[ToolBox] = []
-    for file in files:
-        for box in _boxes_in(file, tool, path, is_folder=is_folder):
-            boxes.append(box)
-            if len(boxes) > MAX_BOXES:
-                raise LabelFileError(f"{path}: expected at most {MAX_BOXES} boxes, found more.")
+    every_box = (box for file in files for box in _boxes_in(file, tool, path, is_folder=is_folder))
+    boxes = list(islice(every_box, MAX_BOXES + 1))
+    if len(boxes) > MAX_BOXES:
+        raise LabelFileError(f"{path}: expected at most {MAX_BOXES} boxes, found more.")
+    table_checks.check_one_video((box.video for box in boxes), path)
     images = dict.fromkeys(box.image for box in boxes)
     if is_folder and all(isinstance(image, str) for image in images):
         images = dict.fromkeys(file.name for file in files)  # also those without boxes
@@ -68,23 +71,30 @@ def read_tool(path: Path, tool: Tool, video: VideoFacts) -> BoxTable:
             f"{path}: expected box coordinates of at most {MAX_COORDINATE_PX:g} pixels, found "
             "larger or invalid values."
         )
-    is_box = (edges[:, 2:] > edges[:, :2]).all(axis=1)
+    is_box = np.asarray((edges[:, 2:] > edges[:, :2]).all(axis=1))
     kept = [boxes[row] for row in np.flatnonzero(is_box).tolist()]
     sizes = {size for box in boxes if (size := _size_px(box.size_px)) is not None}
     facts = VideoFacts(size_px=next(iter(sizes)) if len(sizes) == 1 else None)
-    n_empty = len(boxes) - len(kept)
+    labels, label_notes = _labels([box.label for box in kept], path, video)
     table = BoxTable.of(
         [frame_of[box.image] for box in kept],
         _identities([box.identity for box in kept]),
-        [box.label for box in kept],
+        labels,
         edges[is_box] - HALF_PIXEL_PX,
         is_region=np.array([box.is_region for box in kept], np.bool_),
         score=[_number(box.score) for box in kept],
         video=video.completed_by(facts, path),
-        notes=(*notes, *table_checks.ignored_note(path, n_empty, "without width or height")),
+        notes=(*notes, *label_notes, *_empty_note(boxes, is_box, path)),
     )
     table_checks.check_identities(table, path)
     return table
+
+
+def _empty_note(boxes: Sequence[ToolBox], is_box: BoolArray, path: Path) -> tuple[str, ...]:
+    """A note on the shapes that are no boxes."""
+    shapes = [boxes[row].shape for row in np.flatnonzero(~is_box).tolist()]
+    kinds = table_checks.names_with_counts(np.array(shapes, np.str_))
+    return (f"{path.name}: ignored shapes without width and height: {kinds}.",) if kinds else ()
 
 
 def _boxes_in(file: Path, tool: Tool, path: Path, *, is_folder: bool) -> Iterator[ToolBox]:
@@ -92,6 +102,7 @@ def _boxes_in(file: Path, tool: Tool, path: Path, *, is_folder: bool) -> Iterato
     try:
         for item in tool.objects(content_of(file, tool.title)):
             box = tool.box(item)
+            table_checks.check_upright(box.rotation, str(file))
             # a file has the name of its image; tools may repeat a wrong name in the file
             is_of_file = box.image == "" or (is_folder and isinstance(box.image, str))
             yield box._replace(image=file.name) if is_of_file else box
@@ -102,6 +113,22 @@ def _boxes_in(file: Path, tool: Tool, path: Path, *, is_folder: bool) -> Iterato
         raise LabelFileError(
             f"{file}: expected labels of {tool.title}, found other content ({quoted(error)})."
         ) from error
+
+
+def _labels(
+    labels: Sequence[str], path: Path, video: VideoFacts
+) -> tuple[Sequence[str], tuple[str, ...]]:
+    """Names of the classes, and a note if a file has their numbers only, without a list."""
+    if not labels or not np.isfinite(numbers(set(labels))).all():
+        return labels, ()
+    names = video.names or names_for_folder(path if path.is_dir() else path.parent)
+    known = names or COCO_CLASSES
+    named = [known[n] if 0 <= (n := int(float(label))) < len(known) else label for label in labels]
+    note = (
+        f"{path.name}: classes are numbers without names, which are read as COCO's, 0 person to 7 "
+        "truck; --names or a classes.txt beside the file gives others."
+    )
+    return named, () if names else (note,)
 
 
 def _frames(

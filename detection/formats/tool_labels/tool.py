@@ -32,6 +32,9 @@ class ToolBox(NamedTuple):
     score: object = None
     is_region: bool = False
     size_px: tuple[object, ...] = ()  # width and height of the image
+    rotation: object = None  # of a box that is not upright
+    video: object = None  # name of its video or camera
+    shape: str = "box"  # or what has no width and height, such as a point
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,12 +56,17 @@ class Tool:
     score: str = ""
     is_region: str = ""  # of a flag of regions that are not evaluated
     size_px: tuple[str, str] | None = None  # width and height of the image
+    rotation: str = ""  # angle of a box about its centre or a corner
+    video: str = ""  # name of the video of a frame, of which a file may have several
     is_folder: bool = False  # whether a folder with one file for each image is read, too
 
     def box(self, item: Object) -> ToolBox:
-        """The box of an object; LookupError, TypeError or ValueError without valid values."""
+        """The box of an object, of size 0 for a shape that is none, whose kind is `no_box`.
+
+        LookupError, TypeError or ValueError without valid values.
+        """
         size_px = tuple(value_at(item, name) for name in self.size_px or ())
-        edges = self.edges(item)
+        edges = (0.0,) * 4 if "no_box" in item else self.edges(item)
         if self.is_per_cent:
             edges = _in_pixels(edges, size_px)
         return ToolBox(
@@ -69,6 +77,9 @@ class Tool:
             value_at(item, self.score),
             value_at(item, self.is_region) is True,
             size_px,
+            value_at(item, self.rotation),
+            value_at(item, self.video),
+            str(item.get("no_box", "box"))[:_MAX_TEXT],
         )
 
     def _image(self, item: Object) -> int | str:

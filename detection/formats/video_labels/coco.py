@@ -42,6 +42,7 @@ from track_range.detection.formats.tables.limits import (
     MAX_ID,
     MAX_SIDE_PX,
 )
+from track_range.detection.formats.video_labels.json_kinds import kind_of_json
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.files.structured_text import read_json
@@ -124,10 +125,10 @@ class CocoFile:
 
     def _section(self, key: str) -> Iterator[tuple[str, dict[str, Any]]]:
         """The objects of a list of the file, each with its place for messages."""
-        if isinstance(self._document, list):
+        if kind := kind_of_json(self._document):
             raise LabelFileError(
                 f"{self.path}: expected a COCO data set with images, annotations and categories, "
-                "found a list, such as detection results; add the boxes to a data set."
+                f"found {kind}."
             )
         values = self._document.get(key) if isinstance(self._document, dict) else None
         if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
@@ -143,16 +144,12 @@ class CocoFile:
     def frames(self) -> tuple[dict[int | str, int], tuple[str, ...]]:
         """Frame number by image id, and notes for the user."""
         images = self.images
-        ids = {
+        ids = [
             self._id(image, "video_id", "images")
             for image in images.values()
             if image.get("video_id") is not None
-        }
-        if len(ids) > 1:
-            raise LabelFileError(
-                f"{self.path}: expected the images of one video, found {len(ids)} videos; split "
-                "the file."
-            )
+        ]
+        table_checks.check_one_video(ids, self.path)
         key = next(
             (key for key in _FRAME_KEYS if any(key in image for image in images.values())), None
         )
@@ -232,6 +229,7 @@ class CocoFile:
             both: dict[str, Any] = {**attributes, **item} if isinstance(attributes, dict) else item
             if both.get("outside") is True:
                 continue
+            table_checks.check_upright(both.get("rotation"), f"{self.path}, {where}")
             given = [
                 (source, key)
                 for source in (item, both)

@@ -48,7 +48,7 @@ from track_range.detection.formats.tables.limits import (
     MAX_ID,
     MAX_SIDE_PX,
 )
-from track_range.detection.formats.tables.table_checks import check_identities
+from track_range.detection.formats.tables.table_checks import check_identities, check_upright
 from track_range.detection.formats.video_labels.csv_labels import DONT_CARE
 from track_range.foundation.arrays import BoolArray, IntArray
 from track_range.foundation.files.input_files import counted, open_regular, quoted, shortened
@@ -122,7 +122,6 @@ def read_cvat(path: Path, video: VideoFacts) -> BoxTable:
         np.array([track.track_id for track in content.tracks], np.int64)[boxes["track"]],
         labels,
         boxes["edges"] - HALF_PIXEL_PX,
-        is_region=[label.lower() == DONT_CARE for label in labels],
         score=boxes["score"],
         observed=~boxes["is_predicted"],
         distance_m=boxes["distance_m"],
@@ -194,7 +193,8 @@ class _Content:
 
     def _add_track(self, attributes: Mapping[str, str], line: int) -> None:
         self._check_number(line)
-        track_id = self._integer(attributes, "id", MAX_ID, line)
+        numbered = {"id": str(len(self.tracks)), **attributes}  # as of JAAD, without ids
+        track_id = self._integer(numbered, "id", MAX_ID, line)
         label = attributes.get("label", "").strip()
         if not 0 < len(label) <= _MAX_NAME:
             raise self._fault(line, f"a label of at most {_MAX_NAME} characters", quoted(label))
@@ -205,10 +205,7 @@ class _Content:
         self.tracks.append(_Track(track_id, label, line))
 
     def _add_box(self, attributes: Mapping[str, str], line: int) -> None:
-        if number(attributes.get("rotation", "0")) != 0:
-            raise self._fault(
-                line, "upright boxes", f"the rotation {quoted(attributes['rotation'])}"
-            )
+        check_upright(attributes.get("rotation"), f"{self._path}, line {line}")
         self._check_number(line)
         frame = self._integer(attributes, "frame", MAX_FRAME, line)
         outside = _FLAGS.get(attributes.get("outside", "0").lower())

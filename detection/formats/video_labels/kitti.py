@@ -25,12 +25,14 @@ import numpy.typing as npt
 
 from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.tables.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID
+from track_range.detection.formats.tables.table_checks import check_names, frame_in_name
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text
 from track_range.foundation.files.numeric_text import numbers
 
 _TRACKING_COLUMNS, _OBJECT_COLUMNS = 17, 15  # without the score
 _MAX_TYPE = 64  # characters
+UNKNOWN_M = -999.0  # coordinates up to this value (-1000) are unknown
 # not in types: white space, and the comma, which KITTI's files do not have
 _SEPARATOR = re.compile(r"[\s,]")
 _MAX_VALUE = 1e6  # largest absolute value in metres, radians, or of a score; -1000 = unknown
@@ -76,7 +78,9 @@ class KittiLabels:
     @property
     def has_3d_box(self) -> BoolArray:
         """(N,) mask of the rows that have a 3-D box."""
-        return np.asarray((self.size_hwl_m > 0).all(axis=1) & (self.location_m > -999).all(axis=1))
+        return np.asarray(
+            (self.size_hwl_m > 0).all(axis=1) & (self.location_m > UNKNOWN_M).all(axis=1)
+        )
 
 
 KITTI_TYPE_OF: Mapping[str, str] = {
@@ -127,10 +131,14 @@ def read_kitti(path: Path) -> KittiLabels:
     an implausible number.
     """
     if os.path.isdir(path):  # unlike Path.is_dir, False for a name that is too long
-        files = sorted(file for file in path.glob("*.txt") if file.stem.isdecimal())
+        numbered = {file: frame_in_name(file.stem) for file in sorted(path.glob("*.txt"))}
+        # files that are named after their number only, or after video, camera and number
+        files = [file for file in numbered if file.stem.isdecimal()]
+        files = files or [file for file, frame in numbered.items() if frame is not None]
         if not files:
             raise LabelFileError(f"{path}: expected label files such as 000000.txt, found none.")
-        return _labels([row for file in files for row in _rows(file, file.stem, "-1")])
+        check_names((file.stem for file in files), path)
+        return _labels([row for file in files for row in _rows(file, str(numbered[file]), "-1")])
     if not (rows := _rows(path)):
         raise LabelFileError(f"{path}: expected KITTI labels, got an empty file.")
     return _labels(rows)

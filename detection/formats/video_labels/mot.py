@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from track_range.detection import classes
 from track_range.detection.formats.tables.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID
 from track_range.detection.formats.tables.table_checks import first_frame_number
 from track_range.detection.formats.video_labels.number_layouts import NumberLayout, layout_of
@@ -29,19 +30,12 @@ from track_range.foundation.files.numeric_text import number
 
 _FIRST_PIXEL = _FIRST_FRAME = 1  # in written files
 _MAX_CLASS = 100_000
-_NAMES_FILE = "labels.txt"  # in exports of CVAT and Datumaro
+# files with names beside rows, and the number of the first: in exports of CVAT and Datumaro, and of
+# a user
+_NAMES_FILES = {"labels.txt": 1, "classes.txt": 0}
 
-# fmt: off
-MOT_CLASSES: Mapping[int, str] = {
-    0: "", 1: "pedestrian", 2: "person on vehicle", 3: "car", 4: "bicycle", 5: "motorbike", 6: "non motorized vehicle",
-    7: "static person", 8: "distractor", 9: "occluder", 10: "occluder on the ground", 11: "occluder full",
-    12: "reflection", 13: "crowd",
-}
-"""Names of MOT16's and MOT20's class numbers (Milan et al., "MOT16", 2016, table 3); 0 = the file
-has no classes."""
-# fmt: on
-
-MOT = NumberLayout("MOTChallenge rows", "fixywhsc.", (7, 8, 9, 10), has_names_file=True)
+MOT_CLASSES: Mapping[int, str] = dict(enumerate(classes.MOT_CLASSES))
+MOT = NumberLayout("MOTChallenge rows", "fixywhsc.", (7, 8, 9, 10))
 
 
 class MotFormatError(UserError, ValueError):
@@ -59,7 +53,8 @@ class MotRows:
     xyxy_px: FloatArray  # (N, 4) float64, pixels counted from 0
     # (N,) float64; in ground truth 1 = evaluated, 0 = not evaluated; -1 = unknown
     score: FloatArray
-    # (N,) int64, number of the class, MOTChallenge's (1 = pedestrian) unless `names` are others
+    # (N,) int64, number of the class, MOTChallenge's (1 = pedestrian) unless `names` are others;
+    # -1 = no class
     mot_class: IntArray
     names: Mapping[int, str] = field(default_factory=lambda: MOT_CLASSES)
     form: str = MOT.form  # "rrc" for rows of corners
@@ -77,7 +72,8 @@ class MotRows:
     @property
     def class_name(self) -> list[str]:
         """(N,) name of the class; "" where there is none."""
-        return [self.names.get(number, f"class {number}") for number in self.mot_class.tolist()]
+        names = {-1: "", **self.names}
+        return [names.get(number, f"class {number}") for number in self.mot_class.tolist()]
 
     @property
     def is_region(self) -> BoolArray:
@@ -86,14 +82,20 @@ class MotRows:
         return np.asarray(is_named & (self.score == 0) & np.isin(self.score, (0, 1)).all())
 
 
-def mot_rows(rows: NumberRows, *, n_frames: int | None = None, form: str | None = None) -> MotRows:
+def mot_rows(
+    rows: NumberRows,
+    *,
+    n_frames: int | None = None,
+    form: str | None = None,
+    names: tuple[str, ...] = (),
+) -> MotRows:
     """Frames, boxes and classes of the rows; raises the error of `rows` for invalid frame numbers,
     ids or classes.
 
     Boxes and scores are not checked. `n_frames`: number of images of the video; `form`: "mot" or
-    "rrc"; None = any.
+    "rrc"; None = any; `names`: those of the class numbers, if the user gives them.
     """
-    layout = layout_of(rows, form)
+    layout = layout_of(rows, form, names)
     if layout is None:
         rows.check(
             (rows.n_columns >= min(MOT.n_columns)) & (rows.n_columns <= max(MOT.n_columns)),
@@ -109,19 +111,28 @@ def mot_rows(rows: NumberRows, *, n_frames: int | None = None, form: str | None 
             f"format usually starts at {layout.first}."
         )
     score = layout.column(rows, "s", -1)
-    names = _names_in_file(rows) if layout.has_names_file and class_number.any() else None
-    if names is not None:
-        notes.append(f"{rows.path.name}: class names are read from {_NAMES_FILE}.")
+    if names:
+        stated: tuple[str, Mapping[int, str]] | None = ("--names", dict(enumerate(names)))
     else:
-        names = layout.names or MOT_CLASSES
-        score = layout.scores(score)
+        stated = _names_in_file(rows)
+    if stated is not None and (class_number >= 0).any():
+        notes.append(f"{rows.path.name}: class names are read from {stated[0]}.")
+        names_of = stated[1]
+    else:
+        score, names_of = layout.scores(score), layout.names or MOT_CLASSES
+        if layout.is_guessed:
+            notes.append(
+                f"{rows.path.name}: nothing names its class numbers, so it is read as "
+                f"{layout.title}; --names gives others: {', '.join(classes.CLASS_LISTS)}, a,b,c or a "
+                "file."
+            )
     return MotRows(
         frame - first,
         track_id,
         _boxes(rows, layout),
         score,
         class_number,
-        names=names,
+        names=names_of,
         form=layout.form,
         title=layout.title,
         notes=tuple(notes),
@@ -134,7 +145,7 @@ def _checked_integers(
     """(N,) frame numbers, identities and class numbers of the rows of one camera."""
     frame, track_id = layout.column(rows, "f", 0), layout.column(rows, "i", -1)
     has_class = rows.n_columns == len(layout.columns)
-    class_number = np.where(has_class, layout.column(rows, "c", 0), 0)
+    class_number = np.where(has_class, np.maximum(layout.column(rows, "c", -1), -1), -1)
     rows.check(
         are_whole(frame, 0, MAX_FRAME + 1) & are_whole(track_id, -MAX_ID, MAX_ID),
         lambda cells: (
@@ -143,7 +154,7 @@ def _checked_integers(
         ),
     )
     rows.check(
-        are_whole(class_number, -_MAX_CLASS, _MAX_CLASS),
+        are_whole(class_number, -1, _MAX_CLASS),
         lambda cells: f"expected an integer as the class, found {shortened(','.join(cells))}",
     )
     if len(np.unique(layout.column(rows, "k", 0))) > 1:
@@ -164,15 +175,15 @@ def _boxes(rows: NumberRows, layout: NumberLayout) -> FloatArray:
     return np.stack([left, top, right, bottom], axis=1)
 
 
-def _names_in_file(rows: NumberRows) -> Mapping[int, str] | None:
-    """Names of the class numbers from 1, from the file beside the rows; None if there is no such
-    file.
+def _names_in_file(rows: NumberRows) -> tuple[str, Mapping[int, str]] | None:
+    """The file beside the rows with the names of the class numbers, and the names; None if there is
+    no such file.
     """
-    file = rows.path.with_name(_NAMES_FILE)
-    if not file.is_file():
-        return None
-    text = read_text(file, rows.error, "the names of the classes, one per line")
-    return dict(enumerate((line.strip() for line in text.splitlines()), start=1))
+    for name, first in _NAMES_FILES.items():
+        if (file := rows.path.with_name(name)).is_file():
+            text = read_text(file, rows.error, "the names of the classes, one per line")
+            return name, dict(enumerate((line.strip() for line in text.splitlines()), start=first))
+    return None
 
 
 def mot_lines(frame: int, track_id: IntArray, xyxy_px: FloatArray, score: FloatArray) -> list[str]:
@@ -189,9 +200,9 @@ def mot_lines(frame: int, track_id: IntArray, xyxy_px: FloatArray, score: FloatA
     ]
 
 
-def read_mot(path: Path, n_frames: int | None = None) -> MotRows:
+def read_mot(path: Path, n_frames: int | None = None, *, names: tuple[str, ...] = ()) -> MotRows:
     """The rows of a gt.txt, det.txt or result file; blank lines are skipped. `n_frames`: number of
-    images of the video.
+    images of the video; `names`: those of the class numbers, if the user gives them.
 
     MotFormatError: no such file; or a line that is not 7 to 10 finite numbers with an integer
     frame, an integer id, a plausible box and w, h >= 0; or an id from 0 that occurs twice in a
@@ -205,7 +216,7 @@ def read_mot(path: Path, n_frames: int | None = None) -> MotRows:
             + quoted(next(cell for cell in cells if not math.isfinite(number(cell))))
         ),
     )
-    rows = mot_rows(table, n_frames=n_frames)
+    rows = mot_rows(table, n_frames=n_frames, names=names)
     size_px = rows.xyxy_px[:, 2:] - rows.xyxy_px[:, :2]
     table.check(
         (size_px >= 0).all(axis=1),

@@ -5,12 +5,12 @@ own (`mot`).
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from track_range.detection.boxes import are_valid_boxes
-from track_range.detection.classes import COCO_CLASSES
+from track_range.detection.classes import COCO_CLASSES, MOT_CLASSES, VISDRONE_CLASSES
 from track_range.detection.formats.tables.limits import MAX_ID
 from track_range.detection.formats.video_labels.number_rows import NumberRows, are_whole
 from track_range.foundation.arrays import FloatArray
@@ -20,10 +20,7 @@ _MOST_CAMERAS = 1_000  # of a file of AI City; more numbers in the first column 
 _MIN_VALID = 0.95  # smallest fraction of valid boxes of a layout of 6 columns
 _N_SHORT = 6  # columns that fit two layouts, neither of which is more usual
 
-VISDRONE_CLASSES = (
-    *("ignored region", "pedestrian", "people", "bicycle", "car", "van", "truck", "tricycle"),
-    *("awning-tricycle", "bus", "motor", "others"),
-)  # Zhu et al., "Detection and tracking meet drones challenge", PAMI 2021, and its toolkit's readme
+_LAST_COCO = len(COCO_CLASSES) - 1
 _AB3DMOT_CLASSES = {1: "pedestrian", 2: "car", 3: "cyclist"}
 
 
@@ -51,10 +48,10 @@ class NumberLayout:
     fits: Callable[[FloatArray], bool] = _always
     first: int = 1  # number of the first frame, and of the centre of the first pixel
     names: Mapping[int, str] | None = None  # by class number; None = MOTChallenge's
-    has_names_file: bool = False  # whether labels.txt beside the file may have other names
     # (N,) scores, -1 = unknown, of those that are written with the names of the layout
     scores: Callable[[FloatArray], FloatArray] = _as_written
     form: str = "mot"  # of `DetectionFormat`
+    is_guessed: bool = False  # whether nothing in a file shows that its classes have these names
 
     def column(self, rows: NumberRows, letter: str, missing: float) -> FloatArray:
         """(N,) numbers of a column; `missing` if the layout has no such column."""
@@ -87,8 +84,30 @@ def _is_ai_city(values: FloatArray) -> bool:
     )
 
 
-def _is_boxmot(values: FloatArray) -> bool:
-    return are_integers(values[:, 7], 0, 79) and bool((values[:, 8] == -1).all())
+def _has_classes_last(values: FloatArray) -> bool:
+    """Whether the class is followed by nothing, or by columns that are not used, or is none of
+    MOTChallenge's.
+    """
+    classes, others = values[:, 7], values[:, 8:10]
+    is_unused = bool((np.isnan(others) | (others == -1)).all())
+    return are_integers(classes, 0, _LAST_COCO) and (is_unused or classes.max() >= len(MOT_CLASSES))
+
+
+def _has_classes_first(values: FloatArray) -> bool:
+    """Whether the last of 8 columns are fractions, as scores after the class are."""
+    last = values[:, 7]
+    is_fraction = (last > 0) & (last < 1)
+    return are_integers(values[:, 6], 0, _LAST_COCO) and bool(is_fraction.all())
+
+
+def _has_scores_last(values: FloatArray) -> bool:
+    """Whether the last of 9 columns are scores, as in BoxMOT's evaluation: those of detectors differ
+    and are neither 0 nor 1, as the visible fractions of MOTChallenge are for most objects.
+    """
+    last = values[:, 8]
+    is_score = (last > 0) & (last < 1)
+    has_classes = are_integers(values[:, 7], 0, _LAST_COCO) and bool((values[:, 6] == 1).all())
+    return has_classes and bool(is_score.all()) and len(np.unique(last)) > 1
 
 
 def _is_visdrone(values: FloatArray) -> bool:
@@ -99,11 +118,36 @@ def _is_visdrone(values: FloatArray) -> bool:
     return are_integers(classes, 0, 11) and bool(classes.any()) and are_integers(flags, -1, 2)
 
 
+def _is_visdrone_result(values: FloatArray) -> bool:
+    """Whether the flags are unused, and the class not that of ignored regions."""
+    return _is_visdrone(values) and bool((values[:, 7] > 0).all() & (values[:, 8:10] == -1).all())
+
+
 def _without_rounded(score: FloatArray) -> FloatArray:
     """Scores that are written without decimals, so that each is 0 or 1, are unknown."""
     return np.full(len(score), -1.0) if np.isin(score, (0, 1)).all() else score
 
 
+def _coco_rows(columns: str, fits: Callable[[FloatArray], bool]) -> NumberLayout:
+    """Rows of a tracker such as BoxMOT with a class, whose list they do not state."""
+    return NumberLayout(
+        "rows of a tracker with COCO's classes",
+        columns,
+        (len(columns),),
+        fits,
+        names=dict(enumerate(COCO_CLASSES)),
+        scores=_without_rounded,
+        is_guessed=True,
+    )
+
+
+_VISDRONE = NumberLayout(
+    "VisDrone rows",
+    "fixywhsc..",
+    (10,),
+    _is_visdrone,
+    names=dict(enumerate(VISDRONE_CLASSES)),
+)
 CORNERS = NumberLayout(
     "rows frame,x1,y1,x2,y2,score", "fxyrbs", (_N_SHORT,), _have_corners, first=0, form="rrc"
 )
@@ -112,22 +156,13 @@ LAYOUTS = (
     CORNERS,
     SIZES,
     NumberLayout("AI City rows camera id frame x y w h", "kifxywh", (7, 9), _is_ai_city),
-    NumberLayout(
-        "BoxMOT rows with COCO's classes",
-        "fixywhsc.",
-        (9,),
-        _is_boxmot,
-        names=dict(enumerate(COCO_CLASSES)),
-        has_names_file=True,
-        scores=_without_rounded,
-    ),
-    NumberLayout(
-        "VisDrone rows",
-        "fixywhsc..",
-        (10,),
-        _is_visdrone,
-        names=dict(enumerate(VISDRONE_CLASSES)),
-    ),
+    _coco_rows("fixywh.cs", _has_scores_last),
+    _coco_rows("fixywhsc.", _has_classes_last),
+    _coco_rows("fixywhsc", _has_classes_last),
+    _coco_rows("fixywhcs", _has_classes_first),
+    replace(_VISDRONE, fits=_is_visdrone_result, is_guessed=True),
+    _coco_rows("fixywhsc..", _has_classes_last),
+    _VISDRONE,
     NumberLayout(
         "AB3DMOT rows",
         "fcxyrbs........",
@@ -139,11 +174,14 @@ LAYOUTS = (
 """The layouts that are not MOTChallenge's, in the order in which they are tried."""
 
 
-def layout_of(rows: NumberRows, form: str | None) -> NumberLayout | None:
+def layout_of(
+    rows: NumberRows, form: str | None, names: tuple[str, ...] = ()
+) -> NumberLayout | None:
     """The layout that fits the numbers of all rows; None = MOTChallenge's.
 
-    `form` is the user's choice for 6 columns, or None. Raises the error of `rows` if 6 columns fit
-    both layouts or neither, and there is no choice.
+    `form` is the user's choice for 6 columns, or None, and `names` that of the classes. Raises the
+    error of `rows` if 6 columns fit both layouts or neither, or classes two lists, and there is no
+    choice.
     """
     counts = np.unique(rows.n_columns).tolist()
     if len(counts) != 1:
@@ -152,6 +190,15 @@ def layout_of(rows: NumberRows, form: str | None) -> NumberLayout | None:
     fitting = [
         layout for layout in LAYOUTS if n_columns in layout.n_columns and layout.fits(rows.values)
     ]
+    if names == MOT_CLASSES:
+        fitting = [layout for layout in fitting if not layout.is_guessed]
+    lists = list(dict.fromkeys(layout.title for layout in fitting if layout.is_guessed))
+    if len(lists) > 1 and not names:
+        raise rows.error(
+            f"{rows.path}: expected classes of a known list, found numbers of {' or '.join(lists)}; "
+            "choose with --names visdrone or --names coco, or write the names into classes.txt beside "
+            "the file."
+        )
     if n_columns != _N_SHORT or len(fitting) == 1:
         return fitting[0] if fitting else None
     if form is None:

@@ -21,11 +21,15 @@ from track_range.detection.formats.tables.table_checks import (
     omitted_regions_note,
 )
 from track_range.detection.formats.video_labels.csv_labels import (
-    DONT_CARE,
     has_label_columns,
     read_csv_labels,
 )
-from track_range.detection.formats.video_labels.kitti import kitti_line, kitti_type_of, read_kitti
+from track_range.detection.formats.video_labels.kitti import (
+    UNKNOWN_M,
+    kitti_line,
+    kitti_type_of,
+    read_kitti,
+)
 from track_range.detection.formats.video_labels.mot import mot_lines, read_mot
 from track_range.detection.formats.video_labels.number_rows import is_number_row
 from track_range.foundation.arrays import BoolArray, FloatArray
@@ -33,7 +37,6 @@ from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, quoted
 from track_range.foundation.schemas.schema_version import check_schema_version
 
-_UNKNOWN_M = -999.0  # KITTI's coordinates up to this value (-1000) are unknown
 _COLUMNS = ("frame", "track_id", "score", "observed", "x1_px", "y1_px", "x2_px", "y2_px")
 _DISTANCES = ("fused_m", "fused_sigma_m")
 
@@ -44,7 +47,7 @@ def read_mot_table(path: Path, video: VideoFacts) -> BoxTable:
 
     Labels that are flagged as not evaluated (score 0) are regions. Errors: see `read_mot`.
     """
-    rows = read_mot(path, video.n_frames)
+    rows = read_mot(path, video.n_frames, names=video.names)
     names, is_region = rows.class_name, rows.is_region
     is_truth = (
         np.array([name != "" for name in names], np.bool_) & np.isin(rows.score, (0, 1)).all()
@@ -70,15 +73,15 @@ def read_kitti_table(path: Path, video: VideoFacts) -> BoxTable:
     """
     labels = read_kitti(path)
     is_region = labels.kitti_type == "DontCare"
-    is_known = labels.location_m > _UNKNOWN_M
-    location_m = np.where(is_known.all(axis=1, keepdims=True), labels.location_m, np.nan)
-    is_surface = is_known[:, 2] & ~labels.has_3d_box & ~is_region
+    # what other programs write for an unknown box, 0 or -1, is no place in front of the camera
+    is_surface = (labels.location_m[:, 2] > 0) & ~labels.has_3d_box & ~is_region
+    is_known = (labels.has_3d_box | is_surface) & (labels.location_m > UNKNOWN_M).all(axis=1)
+    location_m = np.where(is_known[:, None], labels.location_m, np.nan)
     return BoxTable.of(
         labels.frame,
         np.maximum(labels.track_id, -1),
         [str(name) for name in labels.kitti_type],
         labels.xyxy_px,
-        is_region=is_region,
         score=labels.score,
         distance_m=np.where(is_surface, labels.location_m[:, 2], np.nan),
         location_m=location_m,
@@ -94,7 +97,6 @@ def read_csv_table_of_labels(path: Path, video: VideoFacts) -> BoxTable:
         labels.track_id,
         [str(name) for name in labels.class_name],
         labels.xyxy_px,
-        is_region=labels.class_name == DONT_CARE,
         distance_m=labels.distance_m,
         video=replace(video, is_rectified=True),
     )
@@ -105,8 +107,11 @@ def read_tracks_table(path: Path, video: VideoFacts) -> BoxTable:
     file is invalid.
     """
     table = read_csv_table(path, LabelFileError, f"columns {', '.join(_COLUMNS)}, class")
-    table.require((*_COLUMNS, "class"))
-    columns = {name: table.finite(name) for name in _COLUMNS}
+    # boxes of another detector in these columns have no identities
+    known = [name for name in _COLUMNS if name != "track_id" or name in table.header]
+    table.require((*known, "class"))
+    columns = {"track_id": np.full(len(table.rows), -1.0)}
+    columns |= {name: table.finite(name) for name in known}
     columns |= {name: table.numbers(name) for name in _DISTANCES}
     return _table_of_rows(path, columns, table.texts("class"), video)
 
@@ -148,7 +153,7 @@ def _table_of_rows(
 ) -> BoxTable:
     boxes = np.stack([columns[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")], axis=1)
     is_valid: BoolArray = are_valid_boxes(boxes) & are_plausible_boxes(boxes)
-    for name, lowest, highest in (("frame", 0, MAX_FRAME), ("track_id", 0, MAX_ID)):
+    for name, lowest, highest in (("frame", 0, MAX_FRAME), ("track_id", -1, MAX_ID)):
         values = columns[name]
         is_integer = (values >= lowest) & (values <= highest) & (np.rint(values) == values)
         for row in np.flatnonzero(~is_integer)[:1].tolist():
@@ -251,7 +256,7 @@ KITTI = LabelFormat(
 TRACKS = LabelFormat(
     name="tracks",
     title="a tracks.csv",
-    recognises=lambda start: start.first.startswith("frame,time_s,"),
+    recognises=lambda start: start.first.startswith("frame,"),
     priority=-20,
     read=read_tracks_table,
     is_general=False,

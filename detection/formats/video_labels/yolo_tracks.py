@@ -8,8 +8,8 @@
 The last number in a file name is the frame, from 0. Written labels have five columns, which
 training programs expect; frames without boxes have empty files. When reading, the files may also be
 in DIR itself, and rows may have the score and the identity that Ultralytics' `save_txt` appends:
-six or seven columns, the last one with integers throughout. Ultralytics numbers the frames of a
-video from 1, without zeros in front (NAME_1.txt). (https://docs.ultralytics.com/datasets/detect)
+six columns with a score, or with an identity if no row has seven, and seven with both. Ultralytics
+numbers the frames of a video from 1, without zeros in front (NAME_1.txt). (https://docs.ultralytics.com/datasets/detect)
 """
 
 import os
@@ -96,14 +96,14 @@ def read_yolo_folder(path: Path, video: VideoFacts) -> BoxTable:
         )
     frame_of, notes = _frames(path, files, video)
     first_frame = min(frame_of.values())
-    names = names_for_folder(folder)
+    names = video.names or names_for_folder(folder)
     if not names:
         names = ROAD_CLASSES
         notes.insert(
             0,
             f"{path.name}: there is no data.yaml or classes.txt with class names, so class numbers "
             f"are read as 0 {ROAD_CLASSES[0]}, 1 {ROAD_CLASSES[1]} to {len(ROAD_CLASSES) - 1} "
-            f"{ROAD_CLASSES[-1]}; COCO's class numbers differ from 4 onwards.",
+            f"{ROAD_CLASSES[-1]}; COCO's class numbers differ from 4 onwards (--names coco).",
         )
     facts = _facts(path, folder, video)
     if facts.size_px is None:
@@ -172,12 +172,18 @@ def _score_and_identity(
 ) -> tuple[FloatArray, IntArray]:
     """(N,) score, NaN if there is none, and (N,) identity, -1 if there is none, of rows (N, 7).
 
-    Identities are in the last column if it has integers throughout, which scores are not.
-    LabelFileError: rows of seven columns do not end with an identity, as for a triangle.
+    A sixth column is a score beside rows of seven; else it is an identity if it has integers
+    throughout, which scores are not. LabelFileError: rows of seven columns do not end with an
+    identity, as for a triangle.
     """
     n_columns = np.array([len(cells) for _, cells in lines], np.int64)
-    is_longer, is_full = n_columns > _N_BOX, n_columns == _N_COLUMNS
-    is_integer = all(_INTEGER.fullmatch(cells[-1]) for _, cells in lines if len(cells) > _N_BOX)
+    is_full = n_columns == _N_COLUMNS
+    is_longer = is_full if is_full.any() else n_columns > _N_BOX
+    is_integer = all(
+        _INTEGER.fullmatch(cells[-1])
+        for (_, cells), may_be_identity in zip(lines, is_longer, strict=True)
+        if may_be_identity
+    )
     for row in np.flatnonzero(is_full & (not is_integer))[:1]:
         raise LabelFileError(
             f"{lines[row][0]}: expected a row 'class cx cy w h score id', found seven columns, as "
@@ -186,7 +192,8 @@ def _score_and_identity(
     last = table[np.arange(len(table)), n_columns - 1]
     has_ids = is_integer and bool((is_longer & ((last > 1) | is_full)).any())
     track_id = np.where(is_longer & has_ids, last, -1).astype(np.int64)
-    return np.where(n_columns - _N_BOX - has_ids == 1, table[:, _N_BOX], np.nan), track_id
+    has_score = n_columns - (is_longer & has_ids) > _N_BOX
+    return np.where(has_score, table[:, _N_BOX], np.nan), track_id
 
 
 def _label_files(path: Path) -> tuple[list[Path], Path]:

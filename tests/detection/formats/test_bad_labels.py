@@ -101,6 +101,16 @@ def changed(path: tuple[str | int, ...], value: Any) -> str:
             "nested",
         ),
         ("{}", "categories"),
+        (changed(("annotations", 0, "attributes"), {"rotation": 60.0}), "upright boxes"),
+        ('{"openlabel": {"frames": {}}}', "ASAM OpenLABEL"),
+        ('{"categories": {"label": {}}, "items": []}', "Datumaro"),
+        ('{"meta": {}, "results": {"a": []}}', "results of nuScenes"),
+        ('[{"token": "a", "sample_token": "b", "translation": [1, 2, 3]}]', "table of nuScenes"),
+        ('{"project": {}, "config": {}, "metadata": {}, "view": {}}', "VIA 3"),
+        ('[{"ID": "a", "DataRow ID": "b", "Labeled Data": "c"}]', "Labelbox"),
+        ('{"version": "2.0", "item": {}, "annotations": []}', "V7 Darwin"),
+        ('{"samples": []}', "FiftyOne"),
+        ('[{"name": "car", "class": 2, "confidence": 0.5, "box": {"x1": 1}}]', "Ultralytics"),
     ],
 )
 def test_bad_coco(tmp_path: Path, content: str, key_word: str) -> None:

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from track_range.detection.formats.label_formats import read_labels
 from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.detection.formats.video_labels.kitti import read_kitti
 
@@ -91,3 +92,28 @@ def test_numbers_are_checked(tmp_path, cell):
     file.write_text(f"{row}\n{row[:-3]}{cell}\n", encoding="utf-8")
     with pytest.raises(LabelFileError, match=r"0000\.txt, line 2"):
         read_kitti(file)
+
+
+@pytest.mark.parametrize("unknown", ["0.0 0.0 0.0 0.0 0.0 0.0 0.0", "-1 -1 -1 -1 -1 -1 -1"])
+def test_unknown_boxes_of_other_programs_have_no_distance(tmp_path, unknown):
+    path = tmp_path / "labels.txt"
+    known = "1.5 1.6 4.0 1.0 1.7 20.0 0.0"
+    result = "-1 -1 -1 2.0 1.5 30.0 -10"  # of track-range: no size, but a place
+    rows = [
+        f"0 {i} Car 0 0 0.0 10 20 30 40 {box}" for i, box in enumerate((unknown, known, result))
+    ]
+    path.write_text("\n".join(rows))
+    table = read_labels(path)
+    assert np.isnan(table.distance_m).tolist() == [True, True, False]
+    assert np.isnan(table.location_m[:, 2]).tolist() == [True, False, False]
+
+
+def test_files_of_deepstream_are_named_after_the_camera_and_the_frame(tmp_path):
+    row = "car 0.0 0 0.0 10 20 30 40 0.0 0.0 0.0 0.0 0.0 0.0 0.0 0.9\n"
+    for name in ("00_000_000000.txt", "00_000_000002.txt"):
+        (tmp_path / name).write_text(row)
+    table = read_labels(tmp_path)
+    assert (table.frame.tolist(), table.score.tolist()) == ([0, 2], [0.9, 0.9])
+    (tmp_path / "00_001_000000.txt").write_text(row)
+    with pytest.raises(LabelFileError, match="one video"):
+        read_labels(tmp_path)

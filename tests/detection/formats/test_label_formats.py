@@ -238,3 +238,33 @@ def test_titles_of_help_pages():
     true = [form for form in formats if not form.is_of_run]
     assert ", ".join(form.title for form in true) == TRUTH_TITLES
     assert ", ".join(form.name for form in true) == TRUTH_NAMES
+
+
+@pytest.mark.parametrize("label", ["DontCare", "ignored region", "Ignored Regions", "ignore"])
+def test_labels_of_regions_are_regions_in_every_format(tmp_path: Path, label: str) -> None:
+    table = BoxTable.of([0, 0], [3, 4], [label, "car"], [[1, 2, 3, 4]] * 2)
+    assert table.is_region.tolist() == [True, False]
+    assert table.track_id.tolist() == [-1, 4]
+    path = tmp_path / "labels.json"
+    write = LABEL_FORMATS.usable["coco"].write
+    assert write is not None
+    write(table, path)
+    assert read_labels(path).is_region.tolist() == [True, False]
+
+
+def test_rows_of_a_tracker_that_starts_without_identities(tmp_path: Path) -> None:
+    """Ultralytics writes a score, and the identity after it where there is one."""
+    (tmp_path / "data.yaml").write_text("names: [person, bicycle, car]")
+    for frame, line in enumerate(("2 .4 .5 .1 .2 .8", "2 .4 .5 .1 .2 .7 5"), start=1):
+        (tmp_path / f"drive_{frame}.txt").write_text(line)
+    table = read_labels(tmp_path, VideoFacts(size_px=(100, 50)))
+    assert table.track_id.tolist() == [-1, 5]
+    assert table.score.tolist() == [0.8, 0.7]
+
+
+def test_tracks_without_ids_are_numbered(tmp_path: Path) -> None:
+    box = '<box frame="0" outside="0" xtl="1" ytl="2" xbr="3" ybr="4"/>'
+    track = f'<track label="car">{box}</track>'
+    path = tmp_path / "labels.xml"
+    path.write_text(f"<annotations><version>1.1</version>{track}{track}</annotations>")
+    assert read_labels(path).track_id.tolist() == [0, 1]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from track_range.detection.classes import CLASS_LISTS
 from track_range.detection.formats.label_formats import label_format_of
 from track_range.detection.formats.video_labels.mot import (
     MotFormatError,
@@ -62,7 +63,7 @@ def test_mot15_world_coordinates_are_not_a_class(tmp_path: Path) -> None:
     path = tmp_path / "gt.txt"
     path.write_text("1,1,212,204,20,57,0,-3.1784,16.34,0.45739\n")
     rows = read_mot(path)
-    assert rows.mot_class.tolist() == [0]
+    assert rows.mot_class.tolist() == [-1]
 
 
 def test_an_empty_file_has_no_rows(tmp_path: Path) -> None:
@@ -139,13 +140,25 @@ LAYOUTS = {
     "without scores": ("{g},7,{x},{y},{w},{h}", 7, ""),
     "corners": ("{f},{l},{t},{r},{b},0.4", -1, ""),
     "visdrone": ("{g},7,{x},{y},{w},{h},1,4,0,1", 7, "car"),
-    "visdrone results": ("{g},7,{x},{y},{w},{h},0.8,9,-1,-1", 7, "bus"),
     "boxmot": ("{g} 7 {x:.0f} {y:.0f} {w:.0f} {h:.0f} 0 2 -1", 7, "car"),
+    "boxmot evaluation": ("{g},7,{x},{y},{w},{h},1,2,0.{g}8", 7, "car"),
+    "score and class": ("{g},7,{x},{y},{w},{h},0.{g}8,2", 7, "car"),
+    "one and class": ("{g},7,{x},{y},{w},{h},1,2", 7, "car"),
+    "class and score": ("{g},7,{x},{y},{w},{h},2,0.{g}8", 7, "car"),
+    "no class in 8 columns": ("{g},7,{x},{y},{w},{h},1,-1", 7, ""),
+    "no class in 9 columns": ("{g},7,{x},{y},{w},{h},0.8,-1,-1", 7, ""),
+    "class of no benchmark": ("{g},7,{x},{y},{w},{h},1,15,1", 7, "cat"),
     "aicity": ("6 7 {g} {x:.0f} {y:.0f} {w:.0f} {h:.0f} -1 -1", 7, ""),
     "ab3dmot": ("{f},2,{l},{t},{r},{b},9.5,1.5,1.6,4,1,1.6,20,1.5,1.6", -1, "car"),
     "world": ("{g},7,{x},{y},{w},{h},1,2.5,-3.25,0.5", 7, ""),
     "mot17": ("{g},7,{x},{y},{w},{h},1,3,0.5", 7, "car"),
 }
+
+
+GUESSED = (
+    *("boxmot", "boxmot evaluation", "score and class", "one and class", "class and score"),
+    "class of no benchmark",
+)
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
@@ -160,7 +173,34 @@ def test_layouts_that_look_alike(tmp_path: Path, name: str) -> None:
     assert set(rows.class_name) == {class_name}
     np.testing.assert_allclose(rows.xyxy_px[[0, -1]], [BOX, [144, 50, 174, 90]], atol=1e-9)
     assert not rows.is_region.any()
-    assert len(rows.notes) == (name == "frames from 0")
+    assert len(rows.notes) == (name == "frames from 0" or name in GUESSED)
+
+
+def test_names_of_numbers_are_the_users(tmp_path: Path) -> None:
+    path = tmp_path / "boxes.txt"
+    path.write_text(rows_in("{g},7,{x},{y},{w},{h},1,2,0.{g}8"))
+    rows = read_mot(path, names=("car", "bus", "truck"))
+    assert set(rows.class_name) == {"truck"}
+    assert "from --names" in rows.notes[0]
+    assert rows.score[0] == 0.18
+    # MOTChallenge's list has a visible fraction in the last column
+    rows = read_mot(path, names=CLASS_LISTS["mot"])
+    assert (set(rows.class_name), set(rows.score)) == ({"person on vehicle"}, {1.0})
+    (tmp_path / "classes.txt").write_text("van\nbus\ntruck\n")
+    rows = read_mot(path)
+    assert set(rows.class_name) == {"truck"}
+    assert "classes.txt" in rows.notes[0]
+
+
+def test_lists_of_classes_that_fit_alike_are_a_question(tmp_path: Path) -> None:
+    path = tmp_path / "boxes.txt"
+    path.write_text(rows_in("{g},7,{x},{y},{w},{h},0.8,4,-1,-1"))
+    with pytest.raises(MotFormatError, match="--names visdrone or --names coco"):
+        read_mot(path)
+    assert set(read_mot(path, names=CLASS_LISTS["visdrone"]).class_name) == {"car"}
+    assert set(read_mot(path, names=CLASS_LISTS["coco"]).class_name) == {"airplane"}
+    path.write_text(rows_in("{g},7,{x},{y},{w},{h},0.8,4,-1,-1") + "1,8,1,1,9,9,0.8,0,-1,-1\n")
+    assert "person" in read_mot(path).class_name  # VisDrone's results have no class 0
 
 
 def test_columns_of_both_meanings_are_refused(tmp_path: Path) -> None:

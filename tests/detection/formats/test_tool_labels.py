@@ -110,6 +110,14 @@ def test_frames_that_end_with_the_number_of_images(tmp_path: Path) -> None:
         ("supervisely", '"index": 2', '"index": -2', "from 0"),
         ("detrac", 'width="20"', 'width="1e9"', "pixels"),
         ("csv_filename", "a_0002", "front", "number"),
+        (
+            "bdd100k",
+            '"videoName": "b1-6f",\n    "frameIndex": 2',
+            '"videoName": "c7",\n    "frameIndex": 2',
+            "found 2: b1-6f, c7",
+        ),
+        ("labelstudio", '"rotation": 0', '"rotation": 30', "upright boxes"),
+        ("labelstudio video", '"rotation": 0', '"rotation": 30', "upright boxes"),
         ("coco waymo", '"uv-8"', "8", "track_id"),
     ],
 )
@@ -124,6 +132,64 @@ def test_bad_files(tmp_path: Path, name: str, old: str, new: str, key_word: str)
         assert path.name in str(caught.value)
     else:
         assert set(read_labels(path).frame.tolist()) == {0}
+
+
+def test_shapes_that_are_no_boxes_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "a_0000.json"
+    box = {"label": "car", "points": [[10, 20], [30, 40]], "shape_type": "rectangle"}
+    point = {"label": "car", "points": [[1, 2]], "shape_type": "point"}
+    path.write_text(json.dumps({"imagePath": "a_0000.jpg", "shapes": [box, point, point]}))
+    table = read_labels(path)
+    assert len(table) == 1
+    (note,) = [note for note in table.notes if "shapes" in note]
+    assert "point (2)" in note
+    rotated = box | {"shape_type": "rotation", "direction": 0.5}  # of X-AnyLabeling
+    path.write_text(json.dumps({"imagePath": "a_0000.jpg", "shapes": [rotated]}))
+    with pytest.raises(LabelFileError, match="upright boxes"):
+        read_labels(path)
+
+
+def test_oriented_boxes_of_supervisely_are_refused_unless_they_are_upright(tmp_path: Path) -> None:
+    shape = {
+        "geometryType": "oriented_bbox",
+        "classTitle": "car",
+        "points": {"exterior": [[10, 20], [29, 39]], "interior": []},
+    }
+    path = tmp_path / "frame_0.json"
+    for angle in (0, 1.2):
+        size = {"width": 100, "height": 50}
+        content = {"size": size, "objects": [shape | {"angle": angle}]}
+        path.write_text(json.dumps(content))
+        if angle:
+            with pytest.raises(LabelFileError, match=r"upright boxes, found the rotation 1\.2"):
+                read_labels(path)
+        else:
+            np.testing.assert_allclose(read_labels(path).xyxy_px, [[9.5, 19.5, 29.5, 39.5]])
+
+
+def test_boxes_of_rolabelimg_with_an_angle_are_refused(tmp_path: Path) -> None:
+    box = "<robndbox><cx>20</cx><cy>30</cy><w>20</w><h>20</h><angle>{}</angle></robndbox>"
+    path = tmp_path / "a_0000.xml"
+    text = f"<annotation><filename>a_0000</filename><object><name>car</name>{box}</object></annotation>"
+    path.write_text(text.format(0.0))
+    np.testing.assert_allclose(read_labels(path).xyxy_px, [[9.5, 19.5, 29.5, 39.5]])
+    path.write_text(text.format(0.7))
+    with pytest.raises(LabelFileError, match="upright boxes"):
+        read_labels(path)
+
+
+def test_numbers_in_place_of_names(tmp_path: Path) -> None:
+    """They are the user's list, then that of a file beside the labels, then COCO's with a note."""
+    path = tmp_path / "labels.csv"
+    path.write_text(str(FILES["csv_filename"]).replace(",car", ",2").replace(",person", ",0"))
+    table = read_labels(path)
+    assert set(table.class_name) == {"car", "person"}
+    assert "COCO's" in " ".join(table.notes)
+    assert set(read_labels(path, VideoFacts(names=("van", "", "bus"))).class_name) == {"van", "bus"}
+    (tmp_path / "classes.txt").write_text("truck\nbus\nvan\n")
+    table = read_labels(path)
+    assert set(table.class_name) == {"van", "truck"}
+    assert "COCO's" not in " ".join(table.notes)
 
 
 def test_a_tool_is_described_by_the_names_of_its_values(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from track_range.run.options.detection import (
     LayoutField,
     LetterboxField,
     NamesField,
+    NumberNamesField,
     ReidField,
     SizeField,
     ThreadsField,
@@ -95,6 +96,7 @@ class TrackSettings(Options):
             metavar="CLASS",
         ),
     ] = None
+    names: NumberNamesField = None
     fps: Annotated[
         float | None,
         option("Frame rate (default: from seqinfo.ini, else 10).", metavar="FPS", ge=0.01, le=1000),

@@ -36,7 +36,7 @@ from track_range.recording.video.frame import VideoError
 from track_range.recording.video.recorded_video import RecordedVideo
 from track_range.run.export.source import facts_of_video
 from track_range.run.options.detection import check_tracker
-from track_range.run.options.opened import open_tracker_options
+from track_range.run.options.opened import class_names, open_tracker_options
 from track_range.tracking.offline_refinement import OfflineRefinement
 from track_range.tracking.registry import (
     ObjectTracker,
@@ -136,6 +136,7 @@ def _read(
     boxes.
     """
     video = NO_FACTS if images is None else facts_of_video(images)
+    video = replace(video, names=class_names(settings.names) or ())
     recorded = read_detections(path, default_class_id=class_id, form=settings.form, video=video)
     # the first note is on the detected format
     detections, notes = recorded.detections, recorded.notes[1:]

@@ -46,6 +46,8 @@ from track_range.run.export.source import (
     open_run,
     run_files,
 )
+from track_range.run.options.detection import NumberNamesField
+from track_range.run.options.opened import class_names
 from track_range.stereo.geometry.camera import PinholeCamera
 
 MARKS: Mapping[str, bytes] = {
@@ -108,6 +110,7 @@ class ExportSettings(Options):
             "Number of the video's first frame in a label file.", metavar="N", ge=0, le=1_000_000
         ),
     ] = 0
+    names: NumberNamesField = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +188,10 @@ def _export_labels(
 ) -> Exported:
     if run is None:
         table = boxes_of_labels(
-            settings.source, video=settings.video, first_frame=settings.first_frame
+            settings.source,
+            video=settings.video,
+            first_frame=settings.first_frame,
+            names=class_names(settings.names) or (),
         )
         notes: tuple[str, ...] = table.notes
     else:

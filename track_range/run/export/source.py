@@ -117,15 +117,17 @@ def facts_of_video(video: Path) -> VideoFacts:
         )
 
 
-def boxes_of_labels(path: Path, *, video: Path | None, first_frame: int) -> BoxTable:
+def boxes_of_labels(
+    path: Path, *, video: Path | None, first_frame: int, names: tuple[str, ...] = ()
+) -> BoxTable:
     """The boxes of a label file, with frames from 0; `first_frame`: number of the video's first
-    frame in the file.
+    frame in the file; `names`: those of class numbers.
 
     LabelFileError: the file cannot be read, or has boxes before the first frame; VideoError: the
     video cannot be read.
     """
     facts = NO_FACTS if video is None else facts_of_video(video)
-    table = label_format_of(path).read(path, replace(facts, first_frame=first_frame))
+    table = label_format_of(path).read(path, replace(facts, first_frame=first_frame, names=names))
     if first_frame:
         if len(table) and table.frame[0] < first_frame:
             raise LabelFileError(

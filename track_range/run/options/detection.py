@@ -29,11 +29,21 @@ LETTERBOX_HELP = (
     "top-left-114, stretch"
 )
 
+_NAMES_HELP = "coco, coco-ids, voc, mot, visdrone, a,b,c or a file with one name per line"
 NamesField = Annotated[
     str | None,
     option(
-        "Class names of the network in its order: a,b,c or a file with one name per line (default: "
-        "the names in the model file, else COCO's or VOC's).",
+        "Class names of the network, or of the numbers in --detections, in their order: "
+        f"{_NAMES_HELP} (default: the names in the file, else COCO's or VOC's).",
+        is_file=True,
+    ),
+]
+NumberNamesField = Annotated[
+    str | None,
+    option(
+        "Class names where labels have numbers only, from 0: "
+        f"{_NAMES_HELP} (default: those in or beside the file, else as a note says).",
+        flag="--names",
         is_file=True,
     ),
 ]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from track_range.detection.classes import road_class_id, road_class_ids
+from track_range.detection.classes import CLASS_LISTS, road_class_id, road_class_ids
 from track_range.detection.models.devices import Device
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
@@ -78,11 +78,11 @@ def open_detector(
 
 
 def class_names(option: str | None) -> tuple[str, ...] | None:
-    """Class names from `a,b,c` or from a file with one name per line; ConfigError for unreadable or
-    empty files.
+    """Class names from the name of a list (`CLASS_LISTS`), `a,b,c` or a file with one name per line;
+    ConfigError for unreadable or empty files.
     """
-    if option is None:
-        return None
+    if option is None or option.lower() in CLASS_LISTS:
+        return None if option is None else CLASS_LISTS[option.lower()]
     path = Path(option)
     if "," in option or not path.suffix:
         source, names = shortened(option), tuple(name.strip() for name in option.split(","))
