@@ -33,8 +33,8 @@ def test_notes_on_unused_options_and_empty_detections(tmp_path, cli, film):
     options = (
         "--align",
         tmp_path / "none.yaml",
-        "--names",
-        tmp_path / "none.txt",
+        "--letterbox",
+        "stretch",
         "--size",
         320,
         "--lanes",
@@ -45,7 +45,7 @@ def test_notes_on_unused_options_and_empty_detections(tmp_path, cli, film):
     notes = " ".join(json.loads((tmp_path / "out/summary.json").read_text())["notes"])
     for words in (
         "--align is not used",
-        "--names, --size are not used with --detections",
+        "--letterbox, --size are not used with --detections",
         "boxes.txt is empty",
     ):
         assert words in notes

@@ -33,7 +33,7 @@ _NAMES_HELP = "coco, coco-ids, voc, mot, visdrone, a,b,c or a file with one name
 NamesField = Annotated[
     str | None,
     option(
-        "Class names of the network, or of the numbers in --detections, in their order: "
+        "Class names of the network, or of the numbers in recorded boxes, in their order: "
         f"{_NAMES_HELP} (default: the names in the file, else COCO's or VOC's).",
         is_file=True,
     ),
