@@ -12,7 +12,7 @@ from track_range.run.reports.report import Reports
 _OF_NETWORK = [  # options of a detector network, which recorded detections do not need
     name
     for name, field in DetectionOptions.model_fields.items()
-    if field.default is None and name not in ("detector", "detections", "ignore")
+    if field.default is None and name not in ("detector", "detections", "ignore", "names")
 ]
 
 
