@@ -43,7 +43,7 @@ QUANTITIES = (
     Quantity("K", "k m a camera cameramatrix cammatrix cameramat cammat cam cammats mtx matrix mat intrinsic"
              " intrinsics kmat kk cm intrinsicmatrix intrinsicsmatrix intrinsicmat intrinsicparameters"
              " cameraintrinsics cameraintrinsic kmatrix projectionparameters camk cammatrixoriginal"
-             " cameramatrixoriginal originalcameramatrix", (9, 4, 12, 5, 6)),
+             " cameramatrixoriginal originalcameramatrix", (9, 4, 12)),
     Quantity("D", "d dist distcoeffs distcoeff distcoefs distcoef distortion distortioncoefficients"
              " distortioncoefficient kc coeffs distortioncoeffs distortioncoeff distortioncoefs distcoefficients"
              " cameradistcoeff cameradistcoeffs dcoeffs distortionvector distortionmatrix distmatrix"

@@ -57,7 +57,9 @@ def _coefficients(draft: RigDraft, side: Side, number: int, lens: StatedLens) ->
     if lens.name not in (PINHOLE, KANNALA_BRANDT) and None not in scalars:
         return np.array([scalar[0] for scalar in scalars])
     matrix = draft.of(side, "K")
-    leading = np.zeros(0) if matrix is None or matrix.size not in (5, 6) else matrix[:-4]
+    n_leading = _n_leading(draft, side)
+    has_leading = matrix is not None and matrix.size == 4 + n_leading
+    leading = matrix[:n_leading] if matrix is not None and has_leading else np.zeros(0)
     distortion = distortion_of(draft, side)
     if lens.model is not None and lens.is_ideal:
         distortion = np.zeros(len(names) - lens.model.n_intrinsics)
@@ -153,7 +155,8 @@ def _name(draft: RigDraft, side: Side, number: int) -> str:
 def matrix_of(draft: RigDraft, side: Side, number: int) -> FloatArray | None:
     """(3, 3) camera matrix, with pixels counted from 0; None if it is incomplete."""
     stated = draft.get(side, "K")
-    if stated is None or stated.value.size in (4, 5, 6):  # Kalibr's begin with those of the lens
+    n_leading = _n_leading(draft, side)
+    if stated is None or stated.value.size in (4, 4 + n_leading):
         numbers = of_scalars(draft, side) if stated is None else stated.value[-4:]
         if numbers is None:
             return None
@@ -182,6 +185,12 @@ def matrix_of(draft: RigDraft, side: Side, number: int) -> FloatArray | None:
             f"{quoted(matrix[2].tolist())}; give the camera matrix."
         )
     return matrix
+
+
+def _n_leading(draft: RigDraft, side: Side) -> int:
+    """How many coefficients of a stated lens stand before fx in a list of Kalibr."""
+    stated = stated_lens(draft.stated_models(side), draft.path)
+    return 0 if stated is None else stated[1].n_intrinsics
 
 
 def of_scalars(draft: RigDraft, side: Side) -> FloatArray | None:

@@ -83,7 +83,11 @@ def states_model(key: str, value: object) -> bool:
     if not isinstance(value, str) or not value:
         return False
     name, key = _plain(value), key.lower()
-    is_known = name in _BY_NAME or name in _OTHER_BY_NAME or name.startswith(("splined", "cahvor"))
+    is_known = (
+        kalibr_names(value) is not None
+        or name in _OTHER_BY_NAME
+        or name.startswith(("splined", "cahvor"))
+    )
     is_of_distortion = "distort" in key and key.endswith(("model", "type"))
     is_of_model = is_of_distortion or _OF_MODELS.search(key) is not None
     return bool(is_of_model or (is_known and _PERHAPS_OF_MODELS.search(key)))
@@ -125,5 +129,11 @@ def stated_lens(stated: Mapping[str, str], source: object) -> tuple[str, KalibrM
         raise RigError(
             f"{source}: expected one lens model of {alternatives(LENSES.usable)}, found {both}; "
             "correct the wrong one."
+        )
+    same = [other for _, other, form in fitting if form.names == model.names]
+    if len(same) > 1:  # registered at run time; those of other packages are left out
+        raise RigError(
+            f"{source}: expected one lens for Kalibr's {' with '.join(model.names)}, found "
+            f"{' and '.join(same)}; omit one of them."
         )
     return name, model
