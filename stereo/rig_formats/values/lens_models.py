@@ -5,7 +5,7 @@ a model that is no lens here is refused by its name.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from track_range.foundation.files.input_files import alternatives, quoted
 from track_range.stereo.geometry.rig import RigError
@@ -104,12 +104,7 @@ def stated_lens(stated: Mapping[str, str], source: object) -> tuple[str, KalibrM
     for key, text in stated.items():
         names = kalibr_names(text)
         if names is None:
-            title = _OTHER_BY_NAME.get(_plain(text), "a lens model")
-            raise RigError(
-                f"{source}: expected a lens model of {alternatives(LENSES.usable)}, found {title}, "
-                f"{quoted(text)} in {key}; calibrate with one of these, or undistort the video and "
-                "give the pinhole of its images."
-            )
+            raise _unknown(key, text, source)
         for keys, name in zip(keys_by_part, names, strict=True):
             if name:
                 keys.setdefault(name, key)
@@ -130,10 +125,25 @@ def stated_lens(stated: Mapping[str, str], source: object) -> tuple[str, KalibrM
             f"{source}: expected one lens model of {alternatives(LENSES.usable)}, found {both}; "
             "correct the wrong one."
         )
-    same = [other for _, other, form in fitting if form.names == model.names]
-    if len(same) > 1:  # registered at run time; those of other packages are left out
+    _check_alone(model, [other for _, other, form in fitting if form.names == model.names], source)
+    return name, model
+
+
+def _check_alone(model: KalibrModel, lenses: Sequence[str], source: object) -> None:
+    """Raise RigError if several lenses have one name of Kalibr: those that are registered at run time,
+    since those of packages are left out.
+    """
+    if len(lenses) > 1:
         raise RigError(
             f"{source}: expected one lens for Kalibr's {' with '.join(model.names)}, found "
-            f"{' and '.join(same)}; omit one of them."
+            f"{' and '.join(lenses)}; omit one of them."
         )
-    return name, model
+
+
+def _unknown(key: str, text: str, source: object) -> RigError:
+    title = _OTHER_BY_NAME.get(_plain(text), "a lens model")
+    return RigError(
+        f"{source}: expected a lens model of {alternatives(LENSES.usable)}, found {title}, "
+        f"{quoted(text)} in {key}; calibrate with one of these, or undistort the video and give the "
+        "pinhole of its images."
+    )
