@@ -84,9 +84,13 @@ class EgoSpeed:
 
     def near(self, time_s: FloatArray) -> FloatArray:
         """(N,) speeds at times (N,) in m/s; outside the samples, and in gaps, those beside."""
-        if np.isneginf(self.time_s[0]):
+        if len(self.time_s) == 1:
             return np.full(len(time_s), self.speed_mps[0])
-        return np.interp(time_s, self.time_s, self.speed_mps)
+        after = np.searchsorted(self.time_s, time_s).clip(1, len(self.time_s) - 1)
+        start_s, end_s = self.time_s[after - 1], self.time_s[after]
+        is_gap = end_s - start_s > MAX_GAP_S
+        beside_s = np.where(time_s - start_s < end_s - time_s, start_s, end_s)
+        return np.interp(np.where(is_gap, beside_s, time_s), self.time_s, self.speed_mps)
 
     def sigma_at(self, time_s: float) -> float:
         """Standard deviation of `at(time_s)` in m/s, NaN where the speed is unknown.

@@ -88,7 +88,7 @@ def ros_messages(
                 (recorded_ns, f"{name}/{info}", "sensor_msgs/msg/CameraInfo", calibration)
             )
         text = types["std_msgs/msg/String"]("nothing")
-        messages.append((stamp_ns, "/chatter", "std_msgs/msg/String", text))
+        messages.append((recorded_ns, "/chatter", "std_msgs/msg/String", text))
     return messages
 
 

@@ -478,6 +478,36 @@ def test_wrong_time_stamps(
         assert sum(note in line for line in reader.notes) == 1
 
 
+@pytest.mark.parametrize("late", ["both", "stamps", "recorder", "none"])
+@pytest.mark.parametrize("storage", ["ros1", "sqlite3"])
+def test_start_behind_a_clock_that_was_set_back(
+    tmp_path: Path, images: list[np.ndarray], late: str, storage: str
+) -> None:
+    true_s = np.arange(240) / 10 + 100
+    set_back_s = true_s - 12.0 * (true_s > 108)
+    stamps_s = set_back_s if late in ("both", "stamps") else true_s
+    recorded_s = set_back_s if late in ("both", "recorder") else true_s
+    many = [images[0]] * len(true_s)
+    times = _times(stamps_s.tolist(), recorded_s.tolist())
+    bag = write(
+        tmp_path / f"bag{'.bag' * (storage == 'ros1')}", storage, ("/cam",), many, times=times
+    )
+    reader = open_video(bag)
+    whole = [(frame.index, frame.time_s) for frame in reader if frame.time_s >= 115.0 - 1e-6]
+    late_frames = [(frame.index, frame.time_s) for frame in reader.frames(115.0, np.inf)]
+    assert late_frames == whole
+    assert late_frames[0][0] in (150, 151)
+
+
+def test_nanoseconds_that_no_clock_states_in_later_images(
+    tmp_path: Path, images: list[np.ndarray]
+) -> None:
+    times = _times([9 + i / 10 for i in range(40)], [9 + i / 10 for i in range(40)])
+    times[35] = ((12, 1_500_000_000), times[35][1])
+    reader = open_video(write(tmp_path / "b.bag", "ros1", ("/cam",), [images[0]] * 40, times=times))
+    assert len(list(reader)) == 40
+
+
 def test_images_without_any_time_are_refused(tmp_path: Path, images: list[np.ndarray]) -> None:
     times = _times([7.0] * 12, [8.0] * 12)
     with pytest.raises(VideoError, match="different times, found 12"):

@@ -335,6 +335,19 @@ def test_makers_own_texts(read: Callable[[bytes], TelemetryTrack | None]) -> Non
         assert track.latitude_deg == pytest.approx(50, abs=4)
 
 
+def test_order_of_dji_positions_in_a_video(read: Callable[[bytes], TelemetryTrack | None]) -> None:
+    """As beside it: heights with M, and values, mark latitude first."""
+    for place in ("53.3, {:.7f}, 0.0M", "53.3, {:.7f}, 18", "{:.7f}, 53.3, 18"):
+        lon_deg = 120 if place.endswith("18") else -6.2
+        texts = [
+            f"GPS ({place.format(lon_deg + i / 5e4)}), D 1m, H.S 2.10m/s".encode() for i in range(3)
+        ]
+        track = read(mp4([VIDEO, MadeTrack(b"text", b"text", texts)]))
+        assert track is not None
+        assert track.latitude_deg == pytest.approx(53.3)
+        assert track.longitude_deg == pytest.approx(lon_deg, abs=1e-3)
+
+
 def test_blackvue(read: Callable[[bytes], TelemetryTrack | None]) -> None:
     lines = b"".join(b"[%d]%s" % (1751900000250 + 1000 * i, rmc(48.0, i)) for i in range(5))
     start = struct.pack(">Q", 1751900000000)

@@ -3,9 +3,11 @@ where they do not."""
 
 from __future__ import annotations
 
+import re
 import struct
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from tests.support.damaged_text import check_damaged, damaged
 from tests.track_range.recording.telemetry.telemetry_files import START_S, part
 from track_range.recording.speed_source import _NO_MOTION, _is_table, _named
 from track_range.recording.telemetry.checks import usable
+from track_range.recording.telemetry.containers.ros_topics import _SPEEDS
 from track_range.recording.telemetry.found import named_telemetry
 from track_range.recording.telemetry.sidecars.reading import read_sidecar
 from track_range.recording.telemetry.sidecars.speed_csv import log_table
@@ -44,14 +47,19 @@ def table(header: str, *columns: Any) -> str:
 @pytest.mark.parametrize(
     ("unit", "texts"),
     [
-        ("km/h", "kilometers per hour;kilometres/hour;speed_kmh;speedkmh;(km / h);kph;speed_km_h"),
-        ("mph", "MPH;miles per hour;mi/h;speed_mph;miles_per_hour"),
+        (
+            "km/h",
+            "kilometers per hour;kilometres/hour;speed_kmh;speedkmh;(km / h);kph;speed_km_h;km h-1;k.p.h.",
+        ),
+        ("mph", "MPH;miles per hour;mi/h;speed_mph;miles_per_hour;m.p.h."),
         ("kn", "knots;kts;speed [kn];nautical miles per hour;nmi/h;NM/h"),
         ("m/s", "meters per second;Meters/second;speed_mps;m/sec;m s-1;speed_m_s"),
-        ("cm/s", "cm/s;centimeters per second"),
+        ("cm/s", "cm/s;centimeters per second;cm s-1"),
         ("mm/s", "mm/s;millimeters per second"),
         ("ft/s", "ft/s;feet per second"),
-        (None, "speed;m/s^2;m/s²;km/s;miles;lamps;seconds;speed (furlongs)"),
+        (None, "speed;m/s^2;m/s²;km/s;miles;lamps;seconds;speed (furlongs);meters;m/min"),
+        # multiples of a unit, and values
+        (None, "0.1 km/h;1/256 km/h;0.01m/s;km/h * 100;kph_x100;m/s [0.001];(km/h)/10;at 45 km/h"),
     ],
 )
 def test_units_are_words(unit: str | None, texts: str) -> None:
@@ -72,6 +80,11 @@ def test_units_are_words(unit: str | None, texts: str) -> None:
         ("Elapsed time (sec)", 1.0),
         ("seconds_elapsed", 1.0),
         ("time (min)", 1 / 60),
+        ("t_us", 1e6),
+        ("timeMs", 1e3),
+        ("timestampMs", 1e3),
+        ("elapsed_realtime_nanos", 1e9),
+        ("time_cs", 100.0),
     ],
 )
 @pytest.mark.parametrize("step_s", [0.001, 1.0, 60.0])
@@ -82,6 +95,26 @@ def test_units_of_times(tmp_path: Path, heading: str, scale: float, step_s: floa
     epoch = read(tmp_path, table(f"{heading},speed_mps", (START_S + T * step_s) * scale, V / 100))
     assert epoch.clock == "utc"
     assert epoch.time_s[0] == pytest.approx(START_S, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "heading", ["time (0.1 s)", "time (10 ms)", "timestamp_100ns", "timestamp (ms/10)"]
+)
+def test_multiples_of_a_unit_of_times_are_asked_for(tmp_path: Path, heading: str) -> None:
+    with pytest.raises(TelemetryError, match="a multiple of one"):
+        read(tmp_path, table(f"{heading},time,speed_mps", T, T, V))
+
+
+@pytest.mark.parametrize(("heading", "first_s"), [("elapsed", 3), ("time", 0)])
+def test_hours_and_minutes_since_the_start(tmp_path: Path, heading: str, first_s: int) -> None:
+    rows = [f"00:00:{first_s + i:02d}.5,{v},0" for i, v in enumerate(V.tolist())]
+    track = read(tmp_path, "\n".join([f"{heading},speed_mps,x", *rows]))
+    assert (track.clock, track.time_s[0]) == ("video", first_s + 0.5)
+
+
+def test_values_before_the_header_are_no_units(tmp_path: Path) -> None:
+    with pytest.raises(TelemetryError, match="a unit in the heading 'speed'"):
+        read(tmp_path, "Max speed,132 km/h\n" + table("time_s,speed,x", T, V, T))
 
 
 def test_times_without_a_unit_are_noted(tmp_path: Path) -> None:
@@ -159,6 +192,10 @@ def test_signs(tmp_path: Path, unit: str) -> None:
         assert f"speeds of {mark:g}" in track.notes[-1]
     forward = table(f"time_s,vel_forward_{unit},vel_left_{unit}", T, reversing, 0 * T)
     assert read(tmp_path, forward).speed_mps == pytest.approx(reversing * mps)
+    vehicle = table(f"time_s,vx_{unit},vy_{unit}", T, reversing, 0.01 * T)
+    assert read(tmp_path, vehicle).speed_mps == pytest.approx(reversing * mps, abs=0.02)
+    turning = table(f"time_s,vx_{unit},vy_{unit}", T, 9 * np.cos(T / 5), 9 * np.sin(T / 5))
+    assert read(tmp_path, turning).speed_mps == pytest.approx(9 * mps)
 
 
 @pytest.mark.parametrize(
@@ -226,6 +263,40 @@ def test_nmea_without_rmc(tmp_path: Path, bursts: str, hour: int) -> None:
     assert track.time_s == pytest.approx(expected_s + T)
 
 
+@pytest.mark.parametrize(("bursts", "cut"), [("VG", "VG" * 20 + "V"), ("GV", "V" + "GV" * 20)])
+def test_nmea_that_begins_and_ends_with_a_speed(tmp_path: Path, bursts: str, cut: str) -> None:
+    east_m = np.concatenate([[0.0], np.cumsum((V[1:] + V[:-1]) / 2)])
+    minutes = np.degrees(east_m / 6_371_008.8 / np.cos(np.radians(48))) * 60
+    lines = nmea(bursts).splitlines()
+    fixes = [line for line in lines if "GGA" in line]
+    for line, minute in zip(fixes, minutes.tolist(), strict=True):
+        lines[lines.index(line)] = re.sub(r"01100\.\d+", f"011{minute:010.7f}", line)
+    lines = [*lines, lines[-2]] if cut.startswith("VG") else [lines[1], *lines]
+    track = read(tmp_path, "\n".join(lines), "nav.nmea")
+    assert track.speed_mps == pytest.approx(V, abs=1e-3)
+
+
+def test_nmea_with_few_speeds_in_knots(tmp_path: Path) -> None:
+    lines = nmea("GV").replace("N,", "N,;").splitlines()
+    speeds = [f"$GPVTG,45.0,T,,M,{v * 3600 / 1852:.3f},N,,,A" for v in V.tolist()]
+    text = nmea("G").splitlines()
+    lines = [
+        line
+        for fix, speed in zip(text, speeds, strict=True)
+        for line in (fix, speed, *(fix.replace(".00,4800", f".{k}0,4800") for k in (2, 4, 6, 8)))
+    ]
+    track = read(tmp_path, "\n".join(lines), "nav.nmea")
+    assert track.speed_mps == pytest.approx(V, abs=1e-3)
+
+
+def test_vbo_without_a_unit_is_noted(tmp_path: Path) -> None:
+    rows = "\n".join(f"1000{i:02d}.00 0 0 {3.6 * v:.3f}" for i, v in enumerate(V.tolist()))
+    names = "[header]\nvelocity\n[column names]\ntime lat long velocity\n[data]\n"
+    track = read(tmp_path, names + rows, "a.vbo")
+    assert track.speed_mps == pytest.approx(V, abs=1e-3)
+    assert "km/h is assumed" in track.notes[0]
+
+
 def srt(*texts: str) -> str:
     return "\n\n".join(
         f"{i + 1}\n00:00:{i:02d},000 --> 00:00:{i + 1:02d},000\n{text}"
@@ -249,6 +320,27 @@ def test_two_speeds_in_a_subtitle(tmp_path: Path, form: str) -> None:
         for v, x in zip(V.tolist(), lon.tolist(), strict=True)
     ]
     assert read(tmp_path, srt(*texts), "a.srt").speed_mps == pytest.approx(V, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("form", "has_note"),
+    [
+        ("Speed: {v:.2f} m/s Climb: {t} m/s", False),
+        ("Speed: {v:.2f} m/s, 50 km/h", True),
+        ("HOME(N: 48.0, E: 11.5) GPS(N: 48.0, E: {lon:.7f}) {v:.2f} m/s", False),
+    ],
+)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_signs_and_other_values_in_a_subtitle(
+    tmp_path: Path, form: str, has_note: bool, sign: int
+) -> None:
+    degrees = np.degrees(np.cumsum(V - 0.125) / 6_371_008.8 / np.cos(np.radians(48)))
+    texts = [
+        form.format(v=sign * v, t=t / 2, lon=11 + x) for v, t, x in zip(V, T, degrees, strict=True)
+    ]
+    track = read(tmp_path, srt(*texts), "a.srt")
+    assert track.speed_mps == pytest.approx(sign * V)
+    assert any("of the speeds" in note for note in track.notes) == has_note
 
 
 @pytest.mark.parametrize("form", ["{0} km/h {1} km/h", "30 km/h 50 km/h"])
@@ -314,6 +406,25 @@ def test_kinds_by_their_first_line(tmp_path: Path, name: str, text: str, word: s
     assert not _is_table(tmp_path / name)
     with pytest.raises(TelemetryError, match=word):
         named_telemetry(tmp_path / name, [part()])
+
+
+@pytest.mark.parametrize(
+    ("frame", "is_signed"),
+    [("base_link", True), ("imu", True), ("odom", False), ("gps", False), ("", False)],
+)
+def test_sign_of_velocities_by_their_frame(frame: str, is_signed: bool) -> None:
+    linear = SimpleNamespace(x=-3.0, y=0.1, z=0.0)
+    twist = SimpleNamespace(linear=linear)
+    odometry = SimpleNamespace(twist=SimpleNamespace(twist=twist), child_frame_id=frame)
+    stamped = SimpleNamespace(twist=twist, header=SimpleNamespace(frame_id=frame))
+    for kind, message in (
+        ("nav_msgs/msg/Odometry", odometry),
+        ("geometry_msgs/msg/TwistStamped", stamped),
+    ):
+        (speed_mps,) = _SPEEDS[kind](message)
+        assert speed_mps == pytest.approx(-3.0 if is_signed else 3.0, abs=0.01)
+    linear.y = 4.0  # along another axis
+    assert _SPEEDS["nav_msgs/msg/Odometry"](odometry) == (5.0,)
 
 
 def test_folder_of_a_bag_as_speed(tmp_path: Path) -> None:

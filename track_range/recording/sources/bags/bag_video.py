@@ -3,6 +3,7 @@ file is in memory.
 """
 
 import itertools
+import math
 import re
 from collections.abc import Generator
 
@@ -32,6 +33,8 @@ _N_FIRST = 30  # messages from which the frame rate is estimated
 _MAX_LATENCY_S = 5.0  # largest time, s, between the time stamp of an image and its recording
 # 1990; smaller times come from a simulation, or count since a computer was started
 _FIRST_PLAUSIBLE_S = 631_152_000.0
+# of images over the rate of the first ones, above which their times were set back; assumed
+_MAX_PACE = 1.02
 _UTC_UNCERTAINTY_S = 0.1  # largest delay, s, between exposure and time stamp; assumed
 # levels above an image topic in which its calibration is searched: /left/image_raw/compressed ->
 # /left
@@ -151,7 +154,7 @@ class BagVideo(RecordedVideo):
         self.check_unchanged()
         decoder = decoding.ImageDecoder(self._topic)
         # a video is decoded from its start
-        is_whole = decoder.is_video or from_s <= self.first_time_s
+        is_whole = decoder.is_video or from_s <= self.first_time_s or self._is_set_before(from_s)
         recorded_from_s = 0.0 if is_whole else from_s - _MAX_LATENCY_S
         for number, recorded_s, data in self._bag.messages(self._topic.name, recorded_from_s):
             try:
@@ -171,6 +174,20 @@ class BagVideo(RecordedVideo):
             if image is not None and not is_before:
                 self.check_size(image.shape[1::-1], " like the first one", "use --duration")
                 yield VideoFrame(number, time_s, image)
+
+    def _is_set_before(self, from_s: float) -> bool:
+        """Whether a clock was set back before an image at this time, or that of the recorder runs
+        behind, so that the times of recording do not show which messages are needed.
+        """
+        messages = self._bag.messages(self._topic.name, from_s - _MAX_LATENCY_S)
+        number, recorded_s, data = next(iter(messages), (0, math.nan, b""))
+        try:
+            stamp_s, _ = decoding.ImageDecoder(self._topic).message(data)
+        except DamagedError:
+            return True
+        time_s = recorded_s if self._clock.fault else stamp_s
+        n_usual = _MAX_PACE * (time_s - self.first_time_s) * self.fps + self.fps
+        return number > n_usual or (number > 0 and time_s > from_s)
 
     def check_unchanged(self) -> None:
         """See `RecordedVideo`."""

@@ -36,7 +36,7 @@ class ImageClock:
 
     def time_s(self, stamp_s: float, recorded_s: float) -> float | None:
         """The time of the next image; None = it is left out, since its time is not later."""
-        clock_s = recorded_s if self.fault else stamp_s
+        clock_s = recorded_s if self.fault or np.isnan(stamp_s) else stamp_s
         shown_s = clock_s + self._shift_s
         time_s = strictly_later(shown_s, self._last_s, interval_s=1 / self.fps)
         last_s = shown_s if self._last_s is None else self._last_s

@@ -2,6 +2,8 @@
 relatives.
 """
 
+import math
+import re
 from collections.abc import Callable
 from contextlib import suppress
 from itertools import islice
@@ -12,6 +14,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UserError
+from track_range.foundation.files.input_files import shortened
 from track_range.recording.sources.bags.bag import is_bag, open_bag
 from track_range.recording.sources.bags.container import Bag, DamagedError, Topic
 from track_range.recording.sources.bags.decoding import is_readable, message_reader, stamp_s
@@ -19,17 +22,30 @@ from track_range.recording.telemetry.tracks.positions import speed_from_position
 from track_range.recording.telemetry.tracks.samples import MAX_SAMPLES, plain_track
 from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 
+# names of frames that do not move with a vehicle, where the velocity has no forward component
+_FIXED_FRAME = re.compile(r"map|odom|world|earth|enu|ned|utm|ecef|gps|gnss|nav|^$", re.IGNORECASE)
 
-def _linear(twist: Any) -> tuple[float, ...]:
-    return (float(np.linalg.norm([twist.linear.x, twist.linear.y, twist.linear.z])),)
+
+def _speed(twist: Any, frame: str) -> tuple[float, ...]:
+    """The length of a velocity, with the sign of x, forward in frames of vehicles (ROS REP 103), if
+    that is the direction of the drive.
+    """
+    x_mps, y_mps, z_mps = (float(getattr(twist.linear, axis)) for axis in "xyz")
+    speed_mps = math.hypot(x_mps, y_mps, z_mps)
+    is_forward = abs(x_mps) >= math.hypot(y_mps, z_mps) and not _FIXED_FRAME.search(frame)
+    return (math.copysign(speed_mps, x_mps) if is_forward else speed_mps,)
 
 
 _SPEEDS: dict[
     str, Callable[[Any], tuple[float, ...]]
 ] = {  # (1,) m/s from a message, by type, in the order of preference
-    "geometry_msgs/msg/TwistStamped": lambda message: _linear(message.twist),
-    "geometry_msgs/msg/TwistWithCovarianceStamped": lambda message: _linear(message.twist.twist),
-    "nav_msgs/msg/Odometry": lambda message: _linear(message.twist.twist),
+    "geometry_msgs/msg/TwistStamped": lambda message: _speed(
+        message.twist, message.header.frame_id
+    ),
+    "geometry_msgs/msg/TwistWithCovarianceStamped": lambda message: _speed(
+        message.twist.twist, message.header.frame_id
+    ),
+    "nav_msgs/msg/Odometry": lambda message: _speed(message.twist.twist, message.child_frame_id),
 }
 _POSITIONS = ("sensor_msgs/msg/NavSatFix", "foxglove.LocationFix", "foxglove_msgs/msg/LocationFix")
 _COMMAND = "cmd"  # in the names of topics with commanded speeds
@@ -70,7 +86,9 @@ def read_ros_topics(path: Path) -> TelemetryTrack | None:
             for values in (latitude_deg, longitude_deg)
         ]
         rows = np.column_stack([time_s, time_s, speed_mps, np.full(len(time_s), np.nan), *at_s])
-        return plain_track(rows, f"topic {speed_topic}", "utc")
+        others = ", ".join(topic.name for topic in topics if topic.name != speed_topic)
+        notes = (f"the speeds are those of {speed_topic}, not of {shortened(others, 100)}.",)
+        return plain_track(rows, f"topic {speed_topic}", "utc", notes=notes if others else ())
     source = f"topic {fixes.name}" if fixes is not None else ""
     return speed_from_positions(
         fix_s, latitude_deg, longitude_deg, fix_s, source=source, clock="utc"

@@ -10,14 +10,15 @@ import math
 import re
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from track_range.foundation.files.numeric_text import number
 from track_range.recording.telemetry.containers.free_gps import parse_free_gps
 from track_range.recording.telemetry.containers.ligogps import parse_ligo_text
 from track_range.recording.telemetry.containers.mp4_boxes import Movie, Track, read_samples
 from track_range.recording.telemetry.sidecars.nmea import has_rmc, rmc_samples
+from track_range.recording.telemetry.sidecars.srt import subtitle_track
 from track_range.recording.telemetry.tracks.positions import MPS_PER_UNIT
 from track_range.recording.telemetry.tracks.samples import (
     MAX_SAMPLES,
@@ -40,9 +41,7 @@ _FORMATS = (b"tx3g", b"text", b"sbtt", b"mett", b"camm", b"gpmd", b"ssmd")
 _NO_COORDINATE = 4294967295.0  # coordinate of 32- and 40-byte records without a fix
 
 # a sample has some 150 characters between position and speed
-_DJI = re.compile(
-    rb"GPS ?\(([-+.\d]++), ?([-+.\d]++)[^)]*+\).{0,1000}?H\.S ([-+.\d]++)m/s", re.DOTALL
-)
+_DJI = re.compile(rb"GPS ?\([-+.\d]++, ?[-+.\d]++[^)]*+\).{0,1000}?H\.S [-+.\d]++m/s", re.DOTALL)
 
 
 def read_text_tracks(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | None:
@@ -69,6 +68,11 @@ def _read_track(file: BinaryIO, movie: Movie, part: Track, path: Path) -> Teleme
             texts.append(text)
     if form is None:
         return None
+    if form is _DJI_TEXTS:
+        subtitles = subtitle_track(
+            [text.decode("utf-8", "replace") for text in texts], times_s, path
+        )
+        return None if subtitles is None else replace(subtitles, source=form.name)
     read = rmc_samples(texts, str(path)) if form is _RMC else [form.read(text) for text in texts]
     samples = [sample.at(time_s) for sample, time_s in zip(read, times_s, strict=True) if sample]
     if movie.video is None:
@@ -110,15 +114,9 @@ def _garmin(text: bytes) -> Sample | None:
     return Sample(math.nan, math.nan, speed * MPS_PER_UNIT["mph"], math.nan, *position_deg)
 
 
-def _dji(text: bytes) -> Sample | None:
-    """DJI: `GPS (longitude, latitude, ...), ... H.S 2.10m/s`."""
-    match = _DJI.search(text)
-    if not match:
-        return None
-    longitude_deg, latitude_deg, speed_mps = (number(value.decode()) for value in match.groups())
-    if not all(map(math.isfinite, (longitude_deg, latitude_deg, speed_mps))):
-        return None
-    return Sample(speed_mps=abs(speed_mps), latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+def _has_dji(text: bytes) -> Sample | None:
+    """A sample if there is a text of DJI: texts are read together, as subtitles beside a video."""
+    return Sample() if _DJI.search(text) else None
 
 
 def _kingslim(text: bytes) -> Sample | None:
@@ -194,10 +192,11 @@ class _Form(NamedTuple):
 
 
 _RMC = _Form(_has_rmc, "NMEA subtitles")
+_DJI_TEXTS = _Form(_has_dji, "DJI subtitles")
 _FORMS = (  # in the order in which they are tried
     _RMC,
     _Form(_garmin, "Garmin dashcam"),
-    _Form(_dji, "DJI subtitles"),
+    _DJI_TEXTS,
     _Form(parse_ligo_text, "LIGO GPS", "assumed"),
     _Form(_vantrue, "Vantrue dashcam"),
     _Form(_kingslim, "Kingslim dashcam"),

@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import read_text
 from track_range.foundation.files.numeric_text import plain_number
 from track_range.recording.telemetry.sidecars.sidecar import Sidecar, of_file
 from track_range.recording.telemetry.sidecars.time_texts import DAY_S, unwrapped
-from track_range.recording.telemetry.tracks.positions import MPS_PER_UNIT
+from track_range.recording.telemetry.tracks.positions import MPS_PER_UNIT, speed_from_positions
 from track_range.recording.telemetry.tracks.samples import Sample, plain_track, track
 from track_range.recording.telemetry.tracks.track import (
     MAX_SIDECAR_BYTES,
@@ -80,12 +80,16 @@ def _without_rmc(lines: Iterable[str], path: Path) -> TelemetryTrack | None:
     dated = np.flatnonzero(kind == "ZDA")
     day_s = first[dated[0]] - clock_s[dated[0]] // DAY_S * DAY_S if len(dated) else 0.0
     is_speed, is_fix = kind == "VTG", kind == "GGA"
-    moments_s = _moments_s(clock_s, is_speed, kinds).tolist()
+    fixes = np.column_stack([clock_s, first, second])[is_fix]
+    fix_s, lat, lon = fixes.T
+    positions = speed_from_positions(fix_s, lat, lon, np.full(len(fixes), np.nan))
+    moments_s = _moments_s(clock_s, first[is_speed], kinds, positions).tolist()
     speeds = zip(first[is_speed].tolist(), second[is_speed].tolist(), strict=True)
     speed_at = dict(zip(moments_s, speeds, strict=True))
     samples = [
         Sample(time_s + day_s, time_s + day_s, *speed_at.get(time_s, (math.nan, math.nan)), *place)
-        for time_s, *place in np.column_stack([clock_s, first, second])[is_fix].tolist()
+        for time_s, *place in fixes.tolist()
+        if time_s in speed_at or not speed_at  # positions may come more often than speeds
     ]
     has_speed = any(math.isfinite(sample.speed_mps) for sample in samples)
     return track(samples, path.name, "utc", has_own_speed=has_speed)
@@ -96,7 +100,9 @@ def _values(kind: str, message: Any) -> tuple[float, float, float]:
     speed in m/s and course of a VTG.
     """
     if kind == "VTG":
-        speed_mps = float(message.spd_over_grnd_kmph) * MPS_PER_UNIT["km/h"]
+        speed_mps = plain_number(message.spd_over_grnd_kmph) * MPS_PER_UNIT["km/h"]
+        if math.isnan(speed_mps) and message.spd_over_grnd_kts is not None:
+            speed_mps = float(message.spd_over_grnd_kts) * MPS_PER_UNIT["kn"]
         return math.nan, speed_mps, plain_number(message.true_track)
     t = message.timestamp
     clock_s = 3600 * t.hour + 60 * t.minute + t.second + t.microsecond / 1e6
@@ -108,15 +114,37 @@ def _values(kind: str, message: Any) -> tuple[float, float, float]:
     return clock_s, math.nan, math.nan
 
 
-def _moments_s(clock_s: FloatArray, is_speed: BoolArray, kinds: Sequence[str]) -> FloatArray:
+def _moments_s(
+    clock_s: FloatArray,
+    speed_mps: FloatArray,
+    kinds: Sequence[str],
+    positions: TelemetryTrack | None,
+) -> FloatArray:
     """Times of the speeds, which state none: of the sentence before each, or of that after it if
-    bursts begin with the speed, as the file does.
+    bursts begin with the speed, as the file does. Of a file that begins and ends with a speed, one
+    burst is cut: the positions show which.
     """
-    is_timed = np.isfinite(clock_s)
+    is_timed, is_speed = np.isfinite(clock_s), np.array(kinds) == "VTG"
     times_s = np.concatenate([[-np.inf], clock_s[is_timed], [np.inf]])
     n_before = np.cumsum(is_timed)[is_speed]
-    is_first = kinds[0] == "VTG" and kinds[-1] != "VTG"
-    return np.asarray(times_s[n_before + int(is_first)])
+    before_s, after_s = times_s[n_before], times_s[n_before + 1]
+    is_first = kinds[0] == "VTG"
+    if is_first and kinds[-1] == "VTG":
+        is_first = _error_mps(positions, after_s, speed_mps) < _error_mps(
+            positions, before_s, speed_mps
+        )
+    return np.asarray(after_s if is_first else before_s)
+
+
+def _error_mps(
+    positions: TelemetryTrack | None, time_s: FloatArray, speed_mps: FloatArray
+) -> float:
+    """Mean difference of speeds at these times to those of the positions; NaN = unknown."""
+    known = np.isfinite(time_s) & np.isfinite(speed_mps)
+    if positions is None or not known.any():
+        return math.nan
+    expected_mps = np.interp(positions.time_s, time_s[known], speed_mps[known])
+    return float(np.abs(expected_mps - positions.speed_mps).mean())
 
 
 def has_rmc(content: bytes) -> bool:

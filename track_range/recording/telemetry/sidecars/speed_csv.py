@@ -41,7 +41,7 @@ _SPEED = re.compile(r"speed|velocity|(?<![a-z])v(?:el)?_(?:mps|kmh)")
 _NOT_SPEED = re.compile(
     r"vertical|3d|accura|limit|wind|sigma|error|z.?speed|angular|accel|fan|engine|rpm|unit|valid|flag|status|"
     r"max|avg|average|target|front|lead|preced|ahead|object|other|(?<![a-z])(?:obj|rel|set)(?![a-z])|relative|diff|"
-    r"delta|cruise|allowed"
+    r"delta|cruise|allowed|desired|predicted|closing|approach|pedestrian|climb"
 )
 _RANKS = (  # patterns of preferred names, best first
     re.compile(r"(?<![a-z])(?:ego|own|host|vehicle|car|obd|can)(?![a-z])|speedometer"),
@@ -50,12 +50,20 @@ _RANKS = (  # patterns of preferred names, best first
 _LATITUDE = re.compile(r"(?<![a-z])lat(?:itude)?(?![a-z])")
 _LONGITUDE = re.compile(r"(?<![a-z])(?:lon|lng|longt?)(?:gitude|itude)?(?![a-z])")
 _COURSE = re.compile(r"(?<![a-z])(?:course|heading|bearing|track)(?![a-z])")
+_SECOND_UNITS = {  # in headings, s
+    r"n(?:ano)?s(?:ec(?:ond)?s?)?": 1e-9,
+    r"(?:[uµμ]|micro)s(?:ec(?:ond)?s?)?": 1e-6,
+    r"cts|m(?:illi)?s(?:ec(?:ond)?s?)?": 1e-3,
+    r"s(?:ec(?:ond)?s?)?": 1.0,
+}
+_ANY_SECOND = "|".join(_SECOND_UNITS)
 _VIDEO_TIME = re.compile(
-    r"^(?:time_s|t|(?:m|u|milli|micro|nano)?sec(?:ond)?s?|[mu]s|millis|micros|seconds?[ _(].*|"
-    r"elapsed.*|video_?time.*|cts|time ?\(?\[?s\)?\]?|offset.*)$"
+    rf"^(?:t(?:ime)?[ _/(\[]*(?:{_ANY_SECOND})[)\]]*|t|(?:m|u|milli|micro|nano)?sec(?:ond)?s?|[mu]s|"
+    r"millis|micros|seconds?[ _(].*|elapsed.*|video_?time.*|cts|offset.*)$"
 )
 _CLOCK_TIME = re.compile(
-    r"(?:^|[^a-z])(?:utc|date|time|timestamp|datetime|epoch|gpstime)(?:$|[^a-z])|since_?1970"
+    r"(?:^|[^a-z])(?:utc|date|time|timestamp(?:[mun]s)?|datetime|epoch|gpstime)(?:$|[^a-z])|"
+    r"since_?1970"
 )
 _DATED = re.compile(r"utc|epoch|unix|1970")  # before others, which may count from a start
 # in separate columns
@@ -72,15 +80,18 @@ _UNIT_OF_NAME = re.compile(r"[(\[].*$|_(?:mps|kmh|kph|mph|kn)$")
 # unknown and small.
 _HORIZONTAL = (("north", "east"), ("x", "y", "z"), ("x", "y"), ("forward", "left"), ("forward",))
 
-_TIME_UNITS = tuple(  # in headings, s
-    (re.compile(rf"(?<![a-z])(?:{notation})(?![a-z])"), scale)
+_TIME_UNITS = tuple(
+    (re.compile(rf"(?:(?<![a-z])|(?<=time)|(?<=timestamp))(?:{notation})(?![a-z])"), scale)
     for notation, scale in (
-        (r"ns|n(?:ano)?sec(?:ond)?s?", 1e-9),
-        (r"[uµμ]s|(?:u|micro)sec(?:ond)?s?|micros", 1e-6),
-        (r"cts|ms|m(?:illi)?sec(?:ond)?s?|millis", 1e-3),
-        (r"s|sec(?:ond)?s?", 1.0),
+        *_SECOND_UNITS.items(),
+        (r"c(?:enti)?s(?:ec(?:ond)?s?)?", 1e-2),
+        (r"d(?:eci)?s(?:ec(?:ond)?s?)?", 0.1),
         (r"min(?:ute)?s?", 60.0),
+        (r"h(?:(?:ou)?rs?)?", 3600.0),
     )
+)
+_MULTIPLE = re.compile(  # 0.1 s, 100ns, ms/10; not "since 1970 s"
+    rf"(?<=\d)(?<!1970)[\s*]?(?:{_ANY_SECOND})(?![a-z])|(?<![a-z])(?:{_ANY_SECOND})\s?[*x/]\s?\d"
 )
 # seconds since 1970 from 1973 to 2286; of numbers without a unit: smallest value, seconds per unit
 _FIRST_EPOCH_S, _LAST_EPOCH_S = 1e8, 1e10
@@ -92,13 +103,14 @@ _STEP_UNITS = (
     (10.0, "milliseconds", 1e-3),
 )
 # lines before the header that state the unit of speeds, and the start of a log
-_UNIT_LINE = re.compile(r"speed|velocity|unit", re.IGNORECASE)
-_START = re.compile(r"\bstart[^=:,;\d]{0,20}[=:,;](.{0,40}?\d:\d\d.{0,30})", re.IGNORECASE)
+_UNIT_LINE = re.compile(r"^\D*(?:speed|velocity|unit)\D*$", re.IGNORECASE)  # and no value
+_START = re.compile(r"\bstart[^=:,;\d]{0,20}[=:,;]([^,;]{0,40}?\d:\d\d[^,;]{0,30})", re.IGNORECASE)
 _MOMENT = re.compile(r"\d:\d\d")
 _MAX_UNIT_ROWS = 3  # below the header: units, sources of the columns
 # difference to speeds from positions, and moving samples, that show a unit
 _UNIT_TOLERANCE, _MIN_MOVING = 0.05, 10
 _MAX_VALUE = 1e4  # of speeds in any unit
+_TURNING = 0.2  # lateral part of a velocity above which a vehicle turns
 _MAX_SCATTER = 0.2  # largest median relative deviation of single speeds from the positions' speeds
 
 
@@ -286,9 +298,19 @@ def _speeds(table: CsvTable) -> list[_Speeds]:
             names = [by_axis[axis] for axis in axes]
             parts = [_numbers(table, name) for name in names]
             length = np.linalg.norm(parts, axis=0)
-            length = np.copysign(length, parts[0]) if axes[0] == "forward" else length
+            if axes[0] == "forward" or (axes[0] == "x" and _reverses(*parts[:2])):
+                length = np.copysign(length, parts[0])
             speeds.append(_Speeds(" and ".join(names), min(_rank(names[0]), 1), unit, length))
     return sorted(speeds, key=lambda speeds: (speeds.rank, speeds.unit is None))
+
+
+def _reverses(x: FloatArray, y: FloatArray) -> bool:
+    """Whether components (N,) are along the axes of a vehicle that drives both ways: on the Earth's
+    axes, it would turn through the other one.
+    """
+    moving = np.abs(x) > _TURNING * np.nanmax(np.abs(x), initial=0.0)
+    is_straight = bool((np.abs(y) <= _TURNING * np.abs(x))[moving].all())
+    return is_straight and bool((x[moving] > 0).any() and (x[moving] < 0).any())
 
 
 def _components(header: Sequence[str]) -> dict[str, tuple[str, str]]:
@@ -371,7 +393,11 @@ def _times(table: CsvTable) -> tuple[FloatArray, Clock, tuple[str, ...]]:
         ]
     values = np.array(numbers(texts))
     if np.isfinite(values).sum() <= len(values) / 2:
-        return *times_of_texts(texts, table.path), ()
+        time_s, clock = times_of_texts(texts, table.path)
+        is_date = np.nanmax(time_s) > 2 * DAY_S
+        if not is_date and (_VIDEO_TIME.search(name) or np.nanmin(time_s) < 1.0):
+            clock = "video"  # hours, minutes and seconds since the start
+        return time_s, clock, ()
     return _times_of_numbers(values, name, table)
 
 
@@ -385,6 +411,11 @@ def _times_of_numbers(
     typical = float(np.median(np.abs(known)))
     if name == "seconds" and 3600 < typical < 2 * DAY_S:  # Car Scanner's, since midnight
         return values, "local", ()
+    if _MULTIPLE.search(name):
+        raise TelemetryError(
+            f"{table.path}: expected a unit of the times in the heading {shortened(repr(name))}, found "
+            "a multiple of one; convert the times, and rename it to time_s."
+        )
     scale, notes = _scale(name, typical, np.diff(known))
     time_s = values * scale
     if typical * scale > _FIRST_EPOCH_S:

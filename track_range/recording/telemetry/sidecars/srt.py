@@ -20,7 +20,13 @@ from track_range.recording.telemetry.tracks.positions import (
     speed_from_positions,
     speed_ratio,
 )
-from track_range.recording.telemetry.tracks.samples import Sample, plain_track, signed, unit_in
+from track_range.recording.telemetry.tracks.samples import (
+    Sample,
+    course_from_positions,
+    plain_track,
+    signed,
+    unit_in,
+)
 from track_range.recording.telemetry.tracks.track import (
     MAX_SIDECAR_BYTES,
     TelemetryError,
@@ -37,15 +43,16 @@ def _pattern(text: str) -> re.Pattern[str]:
 _UNIT = r"(?:km\s?/\s?h|kmh|kmph|kph|mph|mi/h|m/s|knots?|kn|kt)(?![a-z²^]|\s?2\b)"
 _IGNORED = (  # no speeds of the camera; each is removed before the next is looked for
     _pattern(r"<[^<>]{0,200}>"),  # formatting
+    _pattern(r"\bHOME\s*\([^()]{0,60}\)"),  # position of a drone's start
     _pattern(r"\b[VW]\.?S\.?\s*+:?\s*+[-+]?[\d.]+\s*m/s"),  # vertical speed or wind of a drone
     _pattern(
-        r"\b(?:limit|wind|max(?:imum)?|avg|average|target|set)\b[^\d\n]{0,12}[-+]?[\d.,]+\s?"
+        r"\b(?:limit|wind|max(?:imum)?|avg|average|target|set|cruise|climb|vertical)\b[^\d\n]{0,12}[-+]?[\d.,]+\s?"
         + _UNIT
     ),
 )
 
-_HORIZONTAL = _pattern(r"\bH\.?S\.?\s*+:?\s*+([\d.]{1,10})\s*m/s")
-_WITH_UNIT = _pattern(rf"(?<![\d.,])(\d{{1,3}}(?:[.,]\d{{1,6}})?)\s?({_UNIT})")
+_HORIZONTAL = _pattern(r"\bH\.?S\.?\s*+:?\s*+[-+]?([\d.]{1,10})\s*m/s")
+_WITH_UNIT = _pattern(rf"(?<![\d.,])((?:(?<=[:=\s])-)?\d{{1,3}}(?:[.,]\d{{1,6}})?)\s?({_UNIT})")
 _WITHOUT_UNIT = _pattern(r"\bspeed\s*[:=]\s*(\d{1,3}(?:\.\d{1,6})?)(?![\d.]|\s?[a-z/])")
 
 _DEGREES = r"\s*([-+]?\d{1,3}\.\d+)"
@@ -72,10 +79,13 @@ def read_srt(path: Path) -> TelemetryTrack | None:
     cues = list(
         _cues(read_text(path, TelemetryError, "subtitles in SRT", max_bytes=MAX_SIDECAR_BYTES))
     )
-    return _track([content for _, content in cues], [time_s for time_s, _ in cues], path)
+    return subtitle_track([content for _, content in cues], [time_s for time_s, _ in cues], path)
 
 
-def _track(texts: Sequence[str], times_s: Sequence[float], path: Path) -> TelemetryTrack | None:
+def subtitle_track(
+    texts: Sequence[str], times_s: Sequence[float], path: Path
+) -> TelemetryTrack | None:
+    """See `read_srt`, of the texts of subtitles at these times."""
     sentences = fixes_in(texts, str(path))
     if any(fix is not None for fix in sentences):
         fixes = [fix or Sample() for fix in sentences]
@@ -95,9 +105,10 @@ def _track(texts: Sequence[str], times_s: Sequence[float], path: Path) -> Teleme
     )
     n_needed = max(1.0, _MIN_FRACTION * len(texts))
     if np.isfinite(speeds).any(axis=1).sum() >= n_needed:
-        speed_mps = _chosen(speeds, positions, time_s, path)
-        rows = np.column_stack([time_s, blank, speed_mps, blank, places_deg])
-        return plain_track(rows, path.name, "video", notes=notes)
+        speed_mps, chosen_notes = _chosen(speeds, positions, time_s, path)
+        course_deg = course_from_positions(time_s, speed_mps, *places_deg.T)
+        rows = np.column_stack([time_s, blank, speed_mps, course_deg, places_deg])
+        return plain_track(rows, path.name, "video", notes=(*notes, *chosen_notes))
     if np.isfinite(places_deg[:, 0]).sum() >= n_needed:
         return None if positions is None else replace(positions, notes=notes)
     if sum(bool(_WITHOUT_UNIT.search(text)) for text in texts) >= n_needed:
@@ -125,9 +136,9 @@ def _speeds(texts: Sequence[str]) -> FloatArray:
 
 def _chosen(
     speeds_mps: FloatArray, positions: TelemetryTrack | None, time_s: FloatArray, path: Path
-) -> FloatArray:
-    """(N,) the one of (N, K) speeds that changes, or that the positions show; others are limits, or
-    the same in another unit. Raises TelemetryError if several are possible.
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """(N,) the one of (N, K) speeds that changes, or that the positions show, and notes; others are
+    limits, or the same in another unit. Raises TelemetryError if several are possible.
     """
     changes = np.nanmax(speeds_mps, axis=0) > np.nanmin(speeds_mps, axis=0)
     columns = list(speeds_mps.T[changes] if changes.any() else speeds_mps.T)
@@ -138,13 +149,20 @@ def _chosen(
     ] or columns
     first = columns[0]
     for other in columns[1:]:
-        if not np.nanmedian(np.abs(other - first)) <= _SAME * np.nanmedian(first) + _SAME_MPS:
+        if (
+            not np.nanmedian(np.abs(other - first))
+            <= _SAME * np.nanmedian(np.abs(first)) + _SAME_MPS
+        ):
             both_kmh = [3.6 * float(np.nanmedian(values)) for values in (first, other)]
             raise TelemetryError(
                 f"{path}: expected one speed of the car in each subtitle, found {both_kmh[0]:.0f} "
                 f"and {both_kmh[1]:.0f} km/h in the median; remove the other one."
             )
-    return np.asarray(first)
+    note = (
+        "of the speeds in each subtitle, the one is used that changes, or that the positions show, "
+        f"{3.6 * float(np.nanmedian(first)):.0f} km/h in the median."
+    )
+    return np.asarray(first), () if len(columns) == speeds_mps.shape[1] else (note,)
 
 
 def _dji_positions(

@@ -56,7 +56,7 @@ def times_of_texts(texts: Sequence[str], path: Path) -> tuple[FloatArray, Clock]
     The clock is UTC where most texts state a time zone. Raises TelemetryError, which names `path`,
     if most texts are no times, or their order of day and month is not clear.
     """
-    tried = [text for text in texts if text][:_N_TRIED]
+    tried = [text for text in texts if re.search(r"\d", text)][:_N_TRIED]
     n_read = {
         notation: sum(_moment(text, notation) is not None for text in tried)
         for notation in (None, *_NOTATIONS)
@@ -64,7 +64,7 @@ def times_of_texts(texts: Sequence[str], path: Path) -> tuple[FloatArray, Clock]
     notation = max(n_read, key=lambda notation: n_read[notation])
     if not tried or n_read[notation] <= len(tried) / 2:
         raise TelemetryError(
-            f"{path}: expected dates and times, found {quoted(tried[0] if tried else '')}; write "
+            f"{path}: expected dates and times, found {quoted((tried or list(texts))[0])}; write "
             f"them like 2026-05-31 09:30:00, as seconds since 1970, or like {_READ}."
         )
     other = (notation or "").translate(str.maketrans("dm", "md"))
@@ -75,7 +75,8 @@ def times_of_texts(texts: Sequence[str], path: Path) -> tuple[FloatArray, Clock]
             f"{quoted(tried[0])}; write them like 2026-05-31 09:30:00."
         )
     moments = [_moment(text, notation) for text in texts]
-    zoned = sum(moment is not None and moment.tzinfo is not None for moment in moments)
+    read = [moment for moment in moments if moment is not None]
+    zoned = sum(moment.tzinfo is not None for moment in read)
     start = datetime(1900, 1, 1, tzinfo=UTC)  # the date of times without one
     seconds = np.array(
         [
@@ -87,7 +88,7 @@ def times_of_texts(texts: Sequence[str], path: Path) -> tuple[FloatArray, Clock]
     )
     if notation in _CLOCKS:
         seconds = unwrapped(seconds - start.timestamp())
-    return seconds, "utc" if zoned > len(texts) / 2 else "local"
+    return seconds, "utc" if zoned > len(read) / 2 else "local"
 
 
 def unwrapped(time_s: FloatArray) -> FloatArray:

@@ -43,7 +43,11 @@ def read_vbo(path: Path) -> TelemetryTrack | None:
         ),
         "",
     )
-    unit = unit_in(stated) or "km/h"
+    unit, notes = unit_in(stated) or "km/h", tuple[str, ...]()
+    if unit_in(stated) is None:
+        notes = (
+            "its header states no unit of the velocity; km/h is assumed, as Racelogic writes.",
+        )
     rows = [
         dict(zip(names, line.split(), strict=False))
         for line in sections["data"].splitlines()
@@ -72,7 +76,7 @@ def read_vbo(path: Path) -> TelemetryTrack | None:
             Sample(utc_s, utc_s, velocity * MPS_PER_UNIT[unit], course, lat / 60, -long / 60)
         )
     dated = [sample for sample in samples if math.isfinite(sample.time_s)]
-    return plain_track(dated, path.name, "utc", unit=unit) if dated else None
+    return plain_track(dated, path.name, "utc", unit=unit, notes=notes) if dated else None
 
 
 def _clock_s(text: str) -> float:

@@ -33,22 +33,27 @@ _PACE_TOLERANCE = 0.1
 # largest difference to the stated speed at which the course from positions is used
 _COURSE_AGREEMENT = 0.3
 
-# what stands between the words of a unit, and their beginning: no letter, except in speedkmh
-_PER, _HOUR, _SECOND = r"[\s_]*(?:/|per|p)[\s_]*", r"h(?:(?:ou)?rs?)?", r"s(?:ec(?:ond)?s?)?"
 _METERS = r"m(?:et(?:er|re)s?)?"
+_SHORT = r"(?<![er])[\s_.·*]?"  # between the letters of a unit, as in km_h and m s-1
+_HOUR = rf"(?:[\s_]*(?:/|per|p)[\s_]*h(?:(?:ou)?rs?)?|{_SHORT}h\^?(?:-1|⁻¹)?)"
+_SECOND = rf"(?:[\s_]*(?:/|per|p)[\s_]*s(?:ec(?:ond)?s?)?|{_SHORT}s\^?(?:-1|⁻¹)?)"
+# A unit begins after no letter, except in speedkmh. Beside a number, as in 0.1 km/h, km/h * 100 and
+# mph_x10, it is not that of the numbers.
+_BEFORE = r"(?:(?<![a-z])|(?<=speed))(?<!\d)(?<!\d[\s*])"
+_AFTER = (
+    r"(?![a-z/]|\s?(?:²|[-^*]{0,2}2)|[\])\s_]*(?:[*x/]\s?\d|[\[(]\s*(?:[*x]|\d+/|1e|0?\.)[-\d]|"
+    r".{0,9}(?:factor|scale)))"
+)
 _UNITS = {  # notations of each unit, in the order in which they are looked for
-    unit: re.compile(
-        rf"(?:(?<![a-z])|(?<=speed))(?:{notation})(?![a-z/]|\s?(?:²|[-^*]{{0,2}}2))",
-        re.IGNORECASE,
-    )
+    unit: re.compile(rf"{_BEFORE}(?:{notation}){_AFTER}", re.IGNORECASE)
     for unit, notation in {
-        "kn": rf"knots?|k[nt]s?|n(?:autical)?[\s_]?m(?:i(?:les?)?)?{_PER}{_HOUR}|nmph",
-        "km/h": rf"k(?:ilo)?{_METERS}{_PER}{_HOUR}|kmhr?|kms{_PER}{_HOUR}|km_h|kph|км{_PER}ч",
-        "mph": rf"mi(?:les?)?{_PER}{_HOUR}|mph",
-        "cm/s": rf"c(?:enti)?{_METERS}{_PER}{_SECOND}|cm_s",
-        "mm/s": rf"m(?:illi)?{_METERS}{_PER}{_SECOND}|mm_s",
-        "ft/s": rf"(?:ft|feet|foot){_PER}{_SECOND}|ft_s",
-        "m/s": rf"{_METERS}{_PER}{_SECOND}|m[\s_.·]?s(?:-1|⁻¹)?",
+        "kn": rf"knots?|k[nt]s?|n(?:autical)?[\s_]?m(?:i(?:les?)?)?{_HOUR}|nmph",
+        "km/h": rf"k(?:ilo)?(?:{_METERS}|ms){_HOUR}|kmhr|k\.?p\.?h|км[\s_]*/[\s_]*ч",
+        "mph": rf"mi(?:les?)?{_HOUR}|m\.?p\.?h",
+        "cm/s": rf"c(?:enti)?{_METERS}{_SECOND}",
+        "mm/s": rf"m(?:illi)?{_METERS}{_SECOND}",
+        "ft/s": rf"(?:ft|feet|foot){_SECOND}",
+        "m/s": rf"{_METERS}{_SECOND}",
     }.items()
 }
 
@@ -117,7 +122,7 @@ def track(
         return replace(derived, notes=notes) if derived else None
     speed_mps[speed_mps < 0] = np.nan
     if not np.isfinite(course_deg).any():
-        course_deg[:] = _course_from_positions(time_s, speed_mps, latitude_deg, longitude_deg)
+        course_deg[:] = course_from_positions(time_s, speed_mps, latitude_deg, longitude_deg)
     plain = plain_track(rows, source, clock, notes=notes, **given)
     return replace(plain, course_rad=plain.course_rad % (2 * np.pi))
 
@@ -171,7 +176,7 @@ def in_known_unit(samples: Sequence[Sample], unit: Unit) -> tuple[list[Sample], 
     )
 
 
-def _course_from_positions(
+def course_from_positions(
     time_s: FloatArray, speed_mps: FloatArray, latitude_deg: FloatArray, longitude_deg: FloatArray
 ) -> FloatArray:
     """(N,) course in degrees from the positions where they agree with the stated speed; NaN
