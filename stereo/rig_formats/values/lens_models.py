@@ -99,15 +99,7 @@ def stated_lens(stated: Mapping[str, str], source: object) -> tuple[str, KalibrM
 
     Raises RigError for a model that is no lens here, and for two that contradict each other.
     """
-    # keys of the file by name, of projections and of distortions
-    keys_by_part: tuple[dict[str, str], dict[str, str]] = ({}, {})
-    for key, text in stated.items():
-        names = kalibr_names(text)
-        if names is None:
-            raise _unknown(key, text, source)
-        for keys, name in zip(keys_by_part, names, strict=True):
-            if name:
-                keys.setdefault(name, key)
+    keys_by_part = _keys_by_part(stated, source)
     projection, distortion = (next(iter(keys), "") for keys in keys_by_part)
     if not distortion and projection in ("", "pinhole"):
         return None
@@ -147,3 +139,18 @@ def _unknown(key: str, text: str, source: object) -> RigError:
         f"{quoted(text)} in {key}; calibrate with one of these, or undistort the video and give the "
         "pinhole of its images."
     )
+
+
+def _keys_by_part(
+    stated: Mapping[str, str], source: object
+) -> tuple[dict[str, str], dict[str, str]]:
+    """The keys of the file by Kalibr's name: of projections, and of distortions."""
+    keys_by_part: tuple[dict[str, str], dict[str, str]] = ({}, {})
+    for key, text in stated.items():
+        names = kalibr_names(text)
+        if names is None:
+            raise _unknown(key, text, source)
+        for keys, name in zip(keys_by_part, names, strict=True):
+            if name:
+                keys.setdefault(name, key)
+    return keys_by_part
