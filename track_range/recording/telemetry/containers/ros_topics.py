@@ -4,7 +4,7 @@ relatives.
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
@@ -86,13 +86,18 @@ def read_ros_topics(path: Path) -> TelemetryTrack | None:
             for values in (latitude_deg, longitude_deg)
         ]
         rows = np.column_stack([time_s, time_s, speed_mps, np.full(len(time_s), np.nan), *at_s])
-        others = ", ".join(topic.name for topic in topics if topic.name != speed_topic)
-        notes = (f"the speeds are those of {speed_topic}, not of {shortened(others, 100)}.",)
-        return plain_track(rows, f"topic {speed_topic}", "utc", notes=notes if others else ())
+        notes = _unused([topic.name for topic in topics], speed_topic)
+        return plain_track(rows, f"topic {speed_topic}", "utc", notes=notes)
     source = f"topic {fixes.name}" if fixes is not None else ""
     return speed_from_positions(
         fix_s, latitude_deg, longitude_deg, fix_s, source=source, clock="utc"
     )
+
+
+def _unused(names: Sequence[str], used: str) -> tuple[str, ...]:
+    """A note on topics of speeds that are not used, if any."""
+    others = shortened(", ".join(name for name in names if name != used), 100)
+    return (f"the speeds are those of {used}, not of {others}.",) if others else ()
 
 
 def _position(message: Any) -> tuple[float, float]:

@@ -9,7 +9,7 @@ Vantrue's N2S have their own forms, as ExifTool's documentation of QuickTime str
 import math
 import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -69,10 +69,7 @@ def _read_track(file: BinaryIO, movie: Movie, part: Track, path: Path) -> Teleme
     if form is None:
         return None
     if form is _DJI_TEXTS:
-        subtitles = subtitle_track(
-            [text.decode("utf-8", "replace") for text in texts], times_s, path
-        )
-        return None if subtitles is None else replace(subtitles, source=form.name)
+        return _dji_track(texts, times_s, path)
     read = rmc_samples(texts, str(path)) if form is _RMC else [form.read(text) for text in texts]
     samples = [sample.at(time_s) for sample, time_s in zip(read, times_s, strict=True) if sample]
     if movie.video is None:
@@ -112,6 +109,13 @@ def _garmin(text: bytes) -> Sample | None:
         return Sample()
     position_deg = latitude * 180 / 2**31, longitude * 180 / 2**31
     return Sample(math.nan, math.nan, speed * MPS_PER_UNIT["mph"], math.nan, *position_deg)
+
+
+def _dji_track(
+    texts: Sequence[bytes], times_s: Sequence[float], path: Path
+) -> TelemetryTrack | None:
+    subtitles = subtitle_track([text.decode("utf-8", "replace") for text in texts], times_s, path)
+    return None if subtitles is None else replace(subtitles, source=_DJI_TEXTS.name)
 
 
 def _has_dji(text: bytes) -> Sample | None:

@@ -297,11 +297,16 @@ def _speeds(table: CsvTable) -> list[_Speeds]:
         if axes:
             names = [by_axis[axis] for axis in axes]
             parts = [_numbers(table, name) for name in names]
-            length = np.linalg.norm(parts, axis=0)
-            if axes[0] == "forward" or (axes[0] == "x" and _reverses(*parts[:2])):
-                length = np.copysign(length, parts[0])
+            length = _signed_length(axes, parts)
             speeds.append(_Speeds(" and ".join(names), min(_rank(names[0]), 1), unit, length))
     return sorted(speeds, key=lambda speeds: (speeds.rank, speeds.unit is None))
+
+
+def _signed_length(axes: Sequence[str], parts: Sequence[FloatArray]) -> FloatArray:
+    """(N,) length of a velocity, negative backwards where the axes are those of a vehicle."""
+    length: FloatArray = np.linalg.norm(parts, axis=0)
+    is_signed = axes[0] == "forward" or (axes[0] == "x" and _reverses(*parts[:2]))
+    return np.copysign(length, parts[0]) if is_signed else length
 
 
 def _reverses(x: FloatArray, y: FloatArray) -> bool:

@@ -23,6 +23,7 @@ from track_range.recording.telemetry.tracks.track import (
 )
 
 _SECTION = re.compile(r"^\[([^\]\n]{1,40})\]\s*$", re.MULTILINE)
+_VELOCITY = re.compile(r"^velocity.*$", re.IGNORECASE | re.MULTILINE)
 _CREATED = re.compile(r"created on (\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)
 
 
@@ -35,14 +36,7 @@ def read_vbo(path: Path) -> TelemetryTrack | None:
     names = sections.get("column names", "").lower().split()
     if not {"time", "velocity"} <= set(names) or "data" not in sections:
         return None
-    stated = next(
-        (
-            line
-            for line in sections.get("header", "").splitlines()
-            if line.lower().startswith("velocity")
-        ),
-        "",
-    )
+    stated = " ".join(_VELOCITY.findall(sections.get("header", "")))
     unit, notes = unit_in(stated) or "km/h", tuple[str, ...]()
     if unit_in(stated) is None:
         notes = (
