@@ -181,7 +181,7 @@ MOST_STATEMENTS = {
     # what logs state of speeds and times: units, starts, signs, orders, dates, several speeds (144)
     # formats without a clock, and what other files are (93); times and counters in names, and chapters
     # (64); clocks of a pair with other origins (82)
-    "recording": 7_977,
+    "recording": 7_984,
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)
     # the shape of an estimate of a camera (20)
