@@ -206,7 +206,7 @@ MOST_STATEMENTS = {
     # the stages of each scene, made in a function of their own (9)
     # what an empty scenario lacks (2)
     # names of class numbers as an option (7)
-    "run": 2_471,
+    "run": 2_473,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that
     # look to any side from any place of the vehicle (24)
     # vehicles out of side roads, which cross or give way (39)

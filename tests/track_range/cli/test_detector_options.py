@@ -117,10 +117,14 @@ def test_sizes_that_are_none_and_the_word_for_the_usual_one(cli):
     assert "auto|auto" not in "".join(cli("run", "--help")[1].split())
 
 
-@pytest.mark.parametrize("option", ["none.names", "a,,b", ""])
+@pytest.mark.parametrize("option", ["none.names", "a,,b", "", "visdron"])
 def test_invalid_names(option):
     with pytest.raises(ConfigError, match="--names"):
         class_names(option)
+
+
+def test_one_name_of_a_road_class():
+    assert class_names("car") == ("car",)
 
 
 def test_models_info_shows_attributes_and_sources(model, cli):

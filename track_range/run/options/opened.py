@@ -6,7 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from track_range.detection.classes import CLASS_LISTS, road_class_id, road_class_ids
+from track_range.detection.classes import (
+    CLASS_LISTS,
+    map_to_road_classes,
+    road_class_id,
+    road_class_ids,
+)
 from track_range.detection.models.devices import Device
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
@@ -79,7 +84,8 @@ def open_detector(
 
 def class_names(option: str | None) -> tuple[str, ...] | None:
     """Class names from the name of a list (`CLASS_LISTS`), `a,b,c` or a file with one name per line;
-    ConfigError for unreadable or empty files.
+    ConfigError for unreadable or empty files, and for one word that is neither a list nor a road
+    class.
     """
     if option is None or option.lower() in CLASS_LISTS:
         return None if option is None else CLASS_LISTS[option.lower()]
@@ -92,6 +98,11 @@ def class_names(option: str | None) -> tuple[str, ...] | None:
     if not all(names) or not names or max(map(len, names)) > _MAX_NAME:
         raise ConfigError(
             f"--names {source}: expected class names, a,b,c or a file with one name per line."
+        )
+    if names == (option,) and map_to_road_classes(names)[0] < 0:
+        raise ConfigError(
+            f"--names {source}: expected one of the lists {', '.join(CLASS_LISTS)}, names as a,b,c, "
+            "a file with one name per line, or the name of a road class."
         )
     return names
 
