@@ -68,6 +68,11 @@ def _check_names(
 ) -> None:
     """Raise RigError unless the wanted names are those of one camera or a pair of the file."""
     n_expected = len(wanted) if is_pair is None else 1 + is_pair
+    if len(cameras) == 1 and given and given[0] not in cameras:
+        raise RigError(
+            f"{path}: expected no --camera for a file of one camera, found {quoted(','.join(given))}; "
+            "omit it."
+        )
     is_right = len(wanted) == n_expected and 1 <= n_expected <= 2
     if not is_right or any(name not in cameras for name in wanted):
         what = "the names LEFT,RIGHT of two cameras" if is_pair else "the NAME of one camera"

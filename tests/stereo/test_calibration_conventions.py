@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.support.error_messages import error_message
@@ -52,6 +53,8 @@ def refused(folder: Path, content: object, name: str) -> str:
         ),
         ("OPENCV_FISHEYE 1280 720 500 501 640 360 0.1 0.02 0 0", [0.1, 0.02, 0, 0], FISHEYE),
         ("RADIAL_FISHEYE 1280 720 500 640 360 0.1 0.02", [0.1, 0.02, 0, 0], FISHEYE),
+        ("SIMPLE_FISHEYE 1280 720 500 640 360", [0, 0, 0, 0], FISHEYE),
+        ("FISHEYE 1280 720 500 501 640 360", [0, 0, 0, 0], FISHEYE),
     ],
 )
 def test_colmap(tmp_path: Path, row: str, distortion: list[float], lens: str) -> None:
@@ -140,7 +143,7 @@ def test_agisoft(tmp_path: Path) -> None:
         ("0.5 0.75 0.5 0.5 0", [640, 540, 639.5, 359.5], [], "pinhole"),
         ("Pinhole 500 501 640 360 0", [500, 501, 640, 360], [], "pinhole"),
         (
-            "RadTan 500 501 640 360 0.1 0.02 3e-3 4e-3",
+            "RadTan 500 501 640 360 .1 0.02 3e-3 4e-3",
             [500, 501, 640, 360],
             [0.1, 0.02, 3e-3, 4e-3],
             "pinhole",
@@ -287,6 +290,90 @@ def test_easymocap(tmp_path: Path) -> None:
     assert rig.baseline_m == pytest.approx(0.4)
 
 
+@pytest.mark.parametrize("key", ["input_horizontal_stretch", "input_vertical_stretch"])
+def test_profiles_of_stretched_images_are_refused(tmp_path: Path, key: str) -> None:
+    params = {"camera_matrix": [[500, 0, 640], [0, 500, 360], [0, 0, 1]]}
+    params["distortion_coeffs"] = [0.1, 0.0, 0.0, 0.0]
+    content = {"fisheye_params": params, "calib_dimension": {"w": 1280, "h": 720}, key: 1.0}
+    assert read(tmp_path, content)[0].fx_px == 500
+    assert f"{key}: 0.75" in refused(tmp_path, content | {key: 0.75}, "c.json")
+
+
+def test_two_cameras_of_opensfm_are_a_question(tmp_path: Path) -> None:
+    """Cameras with a focal length and a size, but no principal point."""
+    plain = {"projection_type": "perspective", "width": 1280, "height": 720, "k1": 0.1, "k2": 0.02}
+    content = {"front": plain | {"focal": 0.5}, "back": plain | {"focal": 0.8}}
+    assert "front, back" in refused(tmp_path, content, "camera_models.json")
+    assert read(tmp_path, content, cameras=("back",))[0].fx_px == pytest.approx(1024)
+
+
+def test_lists_of_cameras(tmp_path: Path) -> None:
+    """The records of a table, as of Argoverse 2 or nuScenes."""
+    camera = {"fx": 500.0, "fy": 500.0, "cx": 640.0, "cy": 360.0, "k1": 0.1, "k2": 0.0}
+    content = [{"name": "front", **camera}, {"name": "rear", **camera, "fx": 700.0}]
+    assert "front, rear" in refused(tmp_path, content, "cameras.json")
+    assert read(tmp_path, content, cameras=("rear",))[0].fx_px == 700
+
+
+def test_panoramas_without_a_matrix_are_named(tmp_path: Path) -> None:
+    for key in ("projection_type", "polymorphic_name"):
+        content = {"cameras": {"a": {key: "spherical", "width": 1280, "height": 720}}}
+        assert "a panorama, 'spherical'" in refused(tmp_path, content, "c.json")
+
+
+def test_stella_with_a_rectifier(tmp_path: Path) -> None:
+    """x_rectified = R_left x_left = R_right x_right + (B, 0, 0), and f B of the rectified images."""
+    turn = [0.8, 0.0, 0.6, 0.0, 1.0, 0.0, -0.6, 0.0, 0.8]
+    rectifier = {f"{part}_{side}": value for side in ("left", "right") for part, value in (
+        ("K", [500.0, 0, 640, 0, 500, 360, 0, 0, 1]), ("D", [0.1, 0, 0, 0, 0]), ("R", turn),
+    )}  # fmt: skip
+    rectified = {"model": "perspective", "fx": 450.0, "fy": 450.0, "cx": 640.0, "cy": 360.0}
+    rectified |= {"focal_x_baseline": 54.0, "k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0}
+    lines = [
+        f"{block}:\n" + "".join(f"  {key}: {value}\n" for key, value in values.items())
+        for block, values in (("Camera", rectified), ("StereoRectifier", rectifier))
+    ]
+    (tmp_path / "stella.yaml").write_text("".join(lines))
+    rig, _ = load_rig(tmp_path / "stella.yaml", size_px=SIZE)
+    assert (rig.left.fx_px, rig.right.distortion[0]) == (500, 0.1)
+    assert rig.right_from_left[:3, 3] == pytest.approx([-0.12 * 0.8, 0.0, -0.12 * 0.6])
+    assert rig.right_from_left[:3, :3] == pytest.approx(np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("cameras.xml", '<document version="2.0"> <chunk label="a"/></document>', "Metashape"),
+        (
+            "calib_results.txt",
+            "#polynomial (ocam_model.ss in MATLAB)\n5 -7.2 0 1 2 3\n",
+            "OCamCalib",
+        ),
+        ("fisheye.json", '{"MappingCoefficients": [8, 1, 0, 0], "ImageSize": [2, 2]}', "OCamCalib"),
+        ("cameras.bin", "text", "model_converter"),
+    ],
+)
+def test_named_refusals(tmp_path: Path, name: str, text: str, words: str) -> None:
+    assert words in refused(tmp_path, text, name)
+
+
+def test_repeated_elements_of_xml_are_cameras(tmp_path: Path) -> None:
+    cameras = "".join(
+        f"<camera><K>{f} 0 640 0 {f} 360 0 0 1</K><D>0.1 0 0 0 0</D></camera>" for f in (500, 700)
+    )
+    path = tmp_path / "c.xml"
+    path.write_text(f"<rig><cameras>{cameras}</cameras></rig>")
+    assert "camera camera1 of camera1, camera2" in load_camera(path, size_px=SIZE)[1][0]
+    assert load_camera(path, size_px=SIZE, cameras=("camera2",))[0].fx_px == 700
+
+
+@pytest.mark.parametrize("size", [[], [1280]])
+def test_incomplete_sizes_are_refused(tmp_path: Path, size: list[int]) -> None:
+    camera = {"K": [500, 0, 640, 0, 500, 360, 0, 0, 1], "D": [0.1, 0, 0, 0], "resolution": size}
+    message = refused(tmp_path, {"cameras": {"cam0": camera}}, "c.json")
+    assert "expected 2 numbers in cameras.cam0.resolution" in message
+
+
 def test_values_of_a_region_are_refused(tmp_path: Path) -> None:
     content = {
         "K": [500, 0, 640, 0, 500, 360, 0, 0, 1],
@@ -298,3 +385,5 @@ def test_values_of_a_region_are_refused(tmp_path: Path) -> None:
     assert read(tmp_path, whole)[0].size_px == SIZE
     part = content | {"roi": {"x_offset": 100, "y_offset": 0, "width": 640, "height": 360}}
     assert "region of interest" in refused(tmp_path, part, "c.json")
+    corner = content | {"roi": {"x_offset": 0, "y_offset": 0, "width": 640, "height": 360}}
+    assert "roi.width: 640" in refused(tmp_path, corner, "c.json")

@@ -142,7 +142,7 @@ def test_a_length_between_metres_and_centimetres_is_in_doubt():
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        ({"D": [0.1, 0.2]}, [0.1, 0.2, 0, 0]),
+        ({"D": [0.1, 0.2]}, [0.1, 0.2]),
         ({"RadialDistortion": [0.1, 0.2, 0.3]}, [0.1, 0.2, 0, 0, 0.3]),
         ({"k1": 0.1, "k2": 0.2, "p1": 0.3, "p2": 0.4}, [0.1, 0.2, 0.3, 0.4]),
         ({"k1": 0.1, "k3": 0.2}, [0.1, 0, 0, 0, 0.2]),

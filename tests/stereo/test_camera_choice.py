@@ -32,6 +32,12 @@ def written(folder: Path, content: dict[str, Any]) -> Path:
     return path
 
 
+def test_a_name_for_a_file_of_one_camera(tmp_path: Path) -> None:
+    path = written(tmp_path, {"front": block(700.0)})
+    message = error_message(RigError, load_camera, path, size_px=SIZE, cameras=("rear",))
+    assert "a file of one camera, found 'rear'; omit it" in message
+
+
 @pytest.mark.parametrize(
     "names",
     [

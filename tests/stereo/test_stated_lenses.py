@@ -127,6 +127,33 @@ def test_four_coefficients_without_a_model(tmp_path: Path) -> None:
         assert any("fisheye_model" in note for note in notes)
 
 
+def test_models_of_librealsense_in_python(tmp_path: Path) -> None:
+    camera_values = {
+        "width": 1280,
+        "height": 720,
+        "fx": 700.0,
+        "fy": 701.0,
+        "ppx": 640.0,
+        "ppy": 360.0,
+    }
+    for name, lens in (("kannala_brandt4", "kannala-brandt"), ("brown_conrady", "pinhole")):
+        content = camera_values | {"model": f"distortion.{name}", "coeffs": [*FOUR, 0.0]}
+        assert camera(written(tmp_path, content)).lens == lens
+    content = camera_values | {"model": "distortion.ftheta", "coeffs": [*FOUR, 0.0]}
+    message = error_message(RigError, load_camera, written(tmp_path, content), size_px=SIZE)
+    assert "f-theta" in message
+
+
+def test_fisheye_by_the_names_of_coefficients_is_a_note(tmp_path: Path) -> None:
+    names = {f"k{number}": value for number, value in enumerate(FOUR, 1)}
+    content = {"camera_matrix": K, "image_size": [1280, 720], **names}
+    found, notes = load_camera(written(tmp_path, content), size_px=SIZE)
+    assert found.lens == "kannala-brandt"
+    assert any("fisheye_model: 0" in note for note in notes)
+    _, notes = load_camera(written(tmp_path, content | {"model": "fisheye"}), size_px=SIZE)
+    assert notes == ()
+
+
 def test_three_coefficients_are_a_question(tmp_path: Path) -> None:
     path = written(tmp_path, {"camera_matrix": K, "dist_coeffs": FOUR[:3]})
     message = error_message(RigError, load_camera, path, size_px=SIZE)

@@ -109,9 +109,11 @@ def _without_distortion(draft: RigDraft, side: Side, number: int) -> RigError:
         f"{draft.path}: expected the distortion coefficients D{number} of the camera "
         f"{shortened(_name(draft, side, number), 40)}, found"
     )
-    if draft.unread:
+    name = draft.names.get(side)
+    unread = [key for key in draft.unread if name is None or name in key.split(".")]
+    if unread:
         return RigError(
-            f"{expected} {shortened(', '.join(draft.unread), 60)}, which are not understood; write "
+            f"{expected} {shortened(', '.join(unread), 60)}, which are not understood; write "
             "OpenCV's k1, k2, p1, p2, k3 as D1, or a rig.yaml (track-range rig template FILE)."
         )
     return RigError(f"{expected} none; write zeros for undistorted images.")
@@ -269,7 +271,11 @@ def lens_of(draft: RigDraft, side: Side) -> StatedLens:
     if stated is not None:
         return StatedLens(stated[0], model=stated[1])
     if has_fisheye_names(draft, side):
-        return StatedLens(KANNALA_BRANDT)
+        note = (
+            f"{draft.path}: k1, k2, k3 and k4 without p1 are read as OpenCV's fisheye model; if this "
+            "is wrong, add fisheye_model: 0."
+        )
+        return StatedLens(KANNALA_BRANDT, (note,))
     distortion = draft.of(side, "D")
     matrix = matrix_of(draft, side, 1)
     if distortion is None or distortion.size != 4 or matrix is None:
@@ -334,7 +340,8 @@ def stated_size(draft: RigDraft, side: Side, centre: FloatArray) -> FloatArray |
         return None if named is None else np.array([float(number) for number in named.groups()])
     if size.is_assumed:
         return np.asarray(size.value)
-    either = size.value[[0, 1]], size.value[[1, 0]]  # or rows and columns, as MATLAB's and NumPy's
+    sides_px = shaped(size._replace(value=size.value[:2]), (2,), size.key)
+    either = sides_px, sides_px[::-1]  # or rows and columns, as MATLAB's and NumPy's
     return np.asarray(min(either, key=lambda size: float(np.abs(size / 2 - centre).sum())))
 
 

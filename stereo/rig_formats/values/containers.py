@@ -70,6 +70,11 @@ _REFUSED = (
     (re.compile(r'"pxInitialFocalLength"|"intrinsicId"'), "the sfmData of AliceVision (Meshroom), whose "
      "principal points and focal lengths have other meanings in each version",
      "export the scene to COLMAP and give cameras.txt, or type its numbers into a rig.yaml"),
+    (re.compile(r"<document\b[^>]*>\s*<chunk"), "the cameras of a project of Agisoft Metashape",
+     "save the calibration of one camera as XML (Tools, Camera Calibration, Adjusted)"),
+    (re.compile(r"ocam_model\.|MappingCoefficients|poly_parameters"), "the polynomial of OCamCalib (Scaramuzza), which "
+     "MATLAB's fisheye cameras have, too",
+     "calibrate with OpenCV's fisheye model, or undistort the video and give the pinhole of its images"),
 )  # fmt: skip
 _LARGE = re.compile(r"(data:\s*\[|<data>|\"data\":\s*\[)[^\]<]{4000,}")  # numbers of large matrices
 _YAML_HEAD = re.compile(r"\A\s*%YAML[^\n]*\n|!!opencv-[a-z-]+|^(?:---|\.\.\.)[ \t]*$", re.MULTILINE)
@@ -106,6 +111,11 @@ def calibration_text(path: Path) -> str:
     for marks, noun, advice in _BINARY:
         if start.startswith(marks):
             raise RigError(f"{path}: expected {EXPECTED}, found {noun}; {advice}.")
+    if path.name == "cameras.bin":  # without a mark at its start
+        raise RigError(
+            f"{path}: expected {EXPECTED} as text, found COLMAP's binary cameras; write cameras.txt: "
+            "colmap model_converter --output_type TXT."
+        )
     is_storage = start.lstrip().startswith((b"%YAML", b"<?xml", b"<opencv_storage"))
     text = read_text(
         path, RigError, EXPECTED, max_bytes=_MAX_BYTES if is_storage else MAX_TEXT_BYTES
@@ -136,8 +146,8 @@ def plain_values(text: str, path: Path, expected: str = EXPECTED) -> dict[str, A
         return _of_places(of_mrcal, values, path, expected)
     if re.match(r"\s*(?:\[\s*)?\{", text):
         values = parse_json(text, path, RigError, expected)
-        if isinstance(values, list) and len(values) == 1:  # OpenSfM's reconstruction.json
-            values = values[0]
+        if isinstance(values, list):  # OpenSfM's reconstruction.json, tables of nuScenes
+            values = values[0] if len(values) == 1 else {"cameras": values}
         if BASALT.search(text):
             return _of_places(of_basalt, values, path, expected)
     elif _SECTION.search(text) and not _KEY.search(text):
@@ -227,7 +237,11 @@ def _xml_values(text: str, path: Path, expected: str) -> dict[str, Any]:
     def value(node: ElementTree.Element, depth: int = 0) -> Any:
         """The words of an element, a list for data and sizes; or its children by name."""
         if len(node) and depth < 4:
-            return {part.tag: value(part, depth + 1) for part in node}
+            counts = Counter(part.tag for part in node)
+            return {
+                part.tag if counts[part.tag] == 1 else f"{part.tag}{number}": value(part, depth + 1)
+                for number, part in enumerate(node[:MAX_NUMBERS], 1)
+            }
         words = [word.strip('"') for word in (node.text or "").split()]
         return words[0] if len(words) == 1 and node.tag != "data" else words
 

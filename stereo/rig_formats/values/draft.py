@@ -53,6 +53,8 @@ _FLAGS = dict.fromkeys(("true", "yes", "on", "1", "1.0"), True) | dict.fromkeys(
 _PATH = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)+")  # Camera.fx
 # blocks with the poses of images, which are none of cameras of a pair
 _OF_IMAGES = {"shots", "views", "frames", "poses", "images", "structure"}
+# Gyroflow's factors of the size of anamorphic images before the lens model
+_STRETCHES = ("input_horizontal_stretch", "input_vertical_stretch")
 # parts of the names of values of a distortion or lens
 _OF_DISTORTION = re.compile(r"dist(?!ance|rib)|coef|radial|tangential|fisheye|\bk[1-6]\b|\bp[12]\b")
 # keys whose values are those of a quantity in any number, so that a wrong number is an error
@@ -258,7 +260,7 @@ class _Leaves:
             _Leaf(keys, value, meaning(keys, sum(1 for _ in _flat(value))))
             for keys, value in _leaves(content, ())
         ]
-        _check_region(everything, path)
+        _check_images(everything, path)
         recorded, self.is_undistorted = _of_recorded_images(everything)
         self._leaves = [
             leaf
@@ -320,13 +322,25 @@ class _Leaves:
         )
 
 
-def _check_region(leaves: Sequence[_Leaf], path: Path) -> None:
-    """Raise RigError if the values are those of a region of interest."""
+def _check_images(leaves: Sequence[_Leaf], path: Path) -> None:
+    """Raise RigError if the values are those of a region of interest, or of stretched images."""
+    sizes = {
+        leaf.keys[-1]: leaf.value
+        for leaf in leaves
+        if leaf.keys[-1] in ("width", "height") and "roi" not in leaf.keys
+    }
+    whole = {"x_offset": 0, "y_offset": 0} | sizes
     for leaf in leaves:
-        if "roi" in leaf.keys and leaf.keys[-1] in ("x_offset", "y_offset") and leaf.value:
+        name, is_of_region = leaf.keys[-1], "roi" in leaf.keys[:-1]
+        if is_of_region and leaf.value not in (0, whole.get(name, leaf.value)):
             raise RigError(
                 f"{path}: expected the calibration of whole images, found a region of interest "
                 f"({leaf.key}: {quoted(leaf.value)}); give a rig.yaml of the cropped images."
+            )
+        if name in _STRETCHES and leaf.value not in (None, 0, 1):
+            raise RigError(
+                f"{path}: expected the calibration of recorded images, found that of stretched ones "
+                f"({leaf.key}: {quoted(leaf.value)}); stretch the video, or give a rig.yaml."
             )
 
 
@@ -360,7 +374,7 @@ def _camera_blocks(leaves: Sequence[_Leaf]) -> tuple[int, dict[str, Side]]:
     """The place among the keys of the blocks of several cameras, and their sides by name; {} = the
     file has no blocks that are each of one camera.
 
-    A block has a camera matrix, or a focal length and a principal point.
+    A block has a camera matrix, or a focal length with a principal point or the size of the images.
     """
     quantities: dict[tuple[str, ...], set[str]] = {}
     for leaf in leaves:
@@ -368,7 +382,7 @@ def _camera_blocks(leaves: Sequence[_Leaf]) -> tuple[int, dict[str, Side]]:
     blocks = [
         keys
         for keys, inside in quantities.items()
-        if "K" in inside or ("fx" in inside and inside & {"cx", "centre"})
+        if "K" in inside or ("fx" in inside and inside & {"cx", "centre", "width"})
     ]
     depth = sum(1 for _ in takewhile(lambda keys: len({*keys}) == 1, zip(*blocks, strict=False)))
     names = dict.fromkeys(keys[depth] for keys in blocks if len(keys) > depth)

@@ -25,7 +25,7 @@ _SPELLINGS = {
     " modifiedbrownconrady frame",
     ("", "equidistant"): "fisheye equidistant equi kb kb4 kb8 kannala kannalabrandt kannalabrandt4 kannalabrandt8"
     " opencvfisheye fisheyeopencv fisheyekb4 fisheyekannalabrandt cvfisheye fisheyecv pinholeequi"
-    " pinholeequidistant pinholefisheye fisheye4 radialfisheye simpleradialfisheye equidistantfisheye",
+    " pinholeequidistant pinholefisheye fisheye4 radialfisheye simplefisheye simpleradialfisheye equidistantfisheye",
     ("ds", "none"): "ds doublesphere dsnone",
     ("omni", ""): "omni mei omnidir unified omnidirectional omniradtan unifiedprojection catadioptric",
 }  # fmt: skip
@@ -44,7 +44,7 @@ _OTHERS = {
 _BY_NAME = {name: models for models, names in _SPELLINGS.items() for name in names.split()}
 _OTHER_BY_NAME = {name: title for title, names in _OTHERS.items() for name in names.split()}
 _SEPARATORS = re.compile(r"[^a-z0-9]")
-_PREFIX = re.compile(r"^lensmodel(?=.)")  # of mrcal
+_PREFIX = re.compile(r"^(?:lensmodel|distortion)(?=.)")  # of mrcal and of librealsense's Python
 # what a text is about, by its key: these state nothing but a model, so that an unknown name is one that is missing
 _OF_MODELS = re.compile(r"projection_?(?:type|model)|digital_?lens|\bprojection$")
 # these may state something else, such as the name of a camera

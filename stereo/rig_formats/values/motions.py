@@ -1,7 +1,7 @@
 """The transform between two cameras from the draft of a calibration, in the unit of its files.
 
     R, T         x2 = R x1 + T, or of each camera, x = R x_world + T
-    R1 R2 P1 P2  R = R2^T R1, T = R2^T (P2[0, 3] / P2[0, 0], 0, 0)
+    R1 R2 P1 P2  R = R2^T R1, T = R2^T (P2[0, 3] / P2[0, 0], 0, 0), or -bf / fx of rectified images
 
 R and T are checked with the rest of the file: R2 R R1^T = 1, |T| = |P2[0, 3]| / f.
 """
@@ -41,8 +41,9 @@ def motion_of(draft: RigDraft) -> PairMotion:
             return PairMotion(np.asarray(second @ inverse_motion(first), np.float64))
         rectified = _motion_of_rectification(draft)
         if rectified is not None:
+            source = "P1 and P2" if draft.has("P") else "f B"
             return PairMotion(
-                rectified, (f"{draft.path}: R and T are computed from R1, R2, P1 and P2.",), "P2"
+                rectified, (f"{draft.path}: R and T are computed from R1, R2, {source}.",), "P2"
             )
     missing = _missing(draft)
     if missing:
@@ -131,13 +132,20 @@ def offset_of(first: FloatArray, second: FloatArray) -> float:
 
 
 def _motion_of_rectification(draft: RigDraft) -> FloatArray | None:
-    """R = R2^T R1, T = R2^T (-B, 0, 0); None without R1, R2, P1 and P2."""
+    """R = R2^T R1, T = R2^T (-B, 0, 0); None without R1 and R2, and P1 and P2 or f B."""
     projections = projections_of(draft)
     first, second = (draft.of(side, "rect") for side in draft.pair)
-    if projections is None or first is None or second is None:
+    bf, fx = draft.own(None, "bf"), draft.own(None, "fx")  # of rectified images, as stella_vslam's
+    if first is None or second is None:
+        return None
+    if projections is not None:
+        offset = offset_of(*projections)
+    elif bf is not None and fx is not None:
+        offset = -float(bf[0] / fx[0])
+    else:
         return None
     r1, r2 = first.reshape(3, 3), second.reshape(3, 3)
-    return rigid_motion(r2.T @ r1, r2.T @ [offset_of(*projections), 0.0, 0.0])
+    return rigid_motion(r2.T @ r1, r2.T @ [offset, 0.0, 0.0])
 
 
 def _missing(draft: RigDraft) -> list[str]:

@@ -26,6 +26,7 @@ from track_range.stereo.rig_formats.values.cameras import (
     size_px_of,
 )
 from track_range.stereo.rig_formats.values.draft import RigDraft
+from track_range.stereo.rig_formats.values.lens_models import stated_lens
 from track_range.stereo.rig_formats.values.motions import (
     checked_with_rectification,
     motion_of,
@@ -45,6 +46,8 @@ def resolved(draft: RigDraft, *, is_pair: bool) -> RigCalibration:
     result, of which the caller chooses.
     """
     if not draft.has("K", "fx", "P"):
+        for side in draft.models:
+            stated_lens(draft.stated_models(side), draft.path)
         raise RigError(_unusable(draft))
     if draft.has_extrinsics and draft.sides in ([2], ["right"]):
         raise incomplete(draft, ["M1"])
@@ -109,7 +112,7 @@ def _of_several(draft: RigDraft) -> RigCalibration:
     length = min((length for length in lengths if length), default=0.0)
     if length:
         unit = unit_of(draft, length)
-        note = f"{draft.path}: {draft.title}: lengths are {unit.reason}."
+        note = f"{draft.path}: {draft.title}: lengths {unit.reason}."
         cameras = [one.scaled(unit.metres, note) for one in cameras]
     return RigCalibration(cameras[0].camera, None, None, cameras=tuple(cameras))
 
@@ -253,9 +256,13 @@ _SEEN = (
         "expected camera matrices, but this file seems to contain only remap tables",
         "give the file with M1, D1, M2, D2, R and T, or P1 and P2, of the same calibration",
     )),
-    (re.compile(r"imagelist|images"), (
+    (re.compile(r"imagelist|images\b"), (
         "expected a calibration, but this file seems to list images for a calibration",
         "track-range calibrate --stereo 'left*.jpg' 'right*.jpg' --board 9x6 --square-mm 24 calibrates the cameras",
+    )),
+    (re.compile("mappingcoefficients"), (
+        "expected a camera matrix, but this file seems to contain a fisheye camera of MATLAB (OCamCalib)",
+        "calibrate with OpenCV's fisheye model, or undistort the video and give the pinhole of its images",
     )),
     (re.compile(r"\br\b|\bt\b"), (
         "expected the matrix M1 in this file or in an intrinsics file in its folder, but this file seems to contain "

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from track_range.stereo.geometry.rig import rigid_motion
 
-_NUMBER = r"[-+]?\d++(?:\.\d*+)?+(?:[eE][-+]?\d{1,3})?+"
+_NUMBER = r"[-+]?(?:\d++(?:\.\d*+)?+|\.\d++)(?:[eE][-+]?\d{1,3})?+"
 _COLMAP_ROW = (
     r"^[ \t]*+(\d++)[ \t]++([A-Z][A-Z_]++)[ \t]++(\d++)[ \t]++(\d++)[ \t]++([-+\d.eE \t]++)$"
 )
@@ -42,6 +42,8 @@ _COLMAP_NAMES = {  # of the parameters of its models (colmap/src/colmap/sensor/m
     "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
     "SIMPLE_RADIAL_FISHEYE": "f cx cy k1",
     "RADIAL_FISHEYE": "f cx cy k1 k2",
+    "SIMPLE_FISHEYE": "f cx cy",
+    "FISHEYE": "fx fy cx cy",
 }
 
 
@@ -70,7 +72,7 @@ def _colmap(text: str) -> dict[str, Any]:
             model, "f cx cy"
         ).split()  # an unknown model is refused by its name
         values = dict(zip(names, _numbers(params), strict=False))
-        cameras[number] = {"distortion_model": model, "size": [int(width), int(height)], **values}
+        cameras[number] = {"projection_model": model, "size": [int(width), int(height)], **values}
     return cameras
 
 

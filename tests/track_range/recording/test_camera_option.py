@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import track_range as tr
@@ -62,6 +63,8 @@ def test_recordings(small_drive: Drive, cameras: Path) -> None:
     pair.close()
     with pytest.raises(RigError, match="expected a calibration file with cameras"):
         tr.open_recording(small_drive.left, focal_px=500, camera="cam_1")
+    with pytest.raises(RigError, match="expected a calibration file with cameras"):
+        tr.open_recording(small_drive.left, rig=pair.rig, camera="cam_1")
 
 
 def test_pipelines(cameras: Path) -> None:
@@ -69,6 +72,10 @@ def test_pipelines(cameras: Path) -> None:
         assert pipeline is not None
     with pytest.raises(RigError, match="cam_0, cam_1, cam_2"):
         tr.Pipeline.mono(rig=cameras, camera="other")
+    image = np.zeros((188, 620, 3), np.uint8)
+    pipeline = tr.Pipeline.mono(focal_px=500, camera="cam_1", detections=None)
+    with pipeline, pytest.raises(RigError, match="expected a calibration file with cameras"):
+        pipeline.step(image, time_s=0.0)
 
 
 def test_settings(tmp_path: Path, small_drive: Drive, cameras: Path) -> None:
@@ -106,7 +113,7 @@ def test_fleets(
     status, stdout, stderr = cli("fleet", "run", small_drive.left, *options)
     assert status == 3  # clips that cannot be processed
     assert "cam_0, cam_1, cam_2" in stdout + stderr
-    status, stdout, _ = cli("fleet", "run", small_drive.left, *options, "--rig-camera", "cam_1")
+    status, stdout, _ = cli("fleet", "run", small_drive.left, *options, "--rig-camera", " cam_1")
     assert status == 0
     settings = FleetSettings(recordings=("clips",), out="out", rig_camera="cam_1")
     one, other = (fleet_plan(settings, {"camera": name}) for name in ("cam_1", "cam_2"))

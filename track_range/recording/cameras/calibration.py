@@ -383,6 +383,7 @@ def find_calibration(
     if all(abs(a - b) <= _CODEC_CROP_PX for a, b in zip(sizes_px[0], sizes_px[-1], strict=True)):
         sizes_px = ((min(w for w, _ in sizes_px), min(h for _, h in sizes_px)),) * len(sizes_px)
     if isinstance(rig, StereoRig):
+        _check_no_names(cameras)
         aspect = _pixel_aspect(videos, rig.left)
         return replace(_of_models(rig, None, sizes_px, view, aspect), pixel_aspect=aspect)
     path, search_notes = rig, tuple[str, ...]()
@@ -401,11 +402,7 @@ def find_calibration(
         aspect = _pixel_aspect(videos, content.left)
         loaded = _loaded(chosen, content, sizes_px, view, aspect=aspect)
         return replace(loaded, search_notes=search_notes, pixel_aspect=aspect)
-    if cameras:
-        raise RigError(
-            f"--camera {','.join(cameras)}: expected a calibration file with cameras of these names, "
-            "found none; give --rig FILE, or omit the option."
-        )
+    _check_no_names(cameras)
     _check_view(None, view)
     aspect, notes = _pixel_aspect(videos), tuple[str, ...]()
     if focal_px is None and any(video.camera is not None for video in videos):
@@ -413,6 +410,15 @@ def find_calibration(
         notes = (note,)
     calibration = _without_file(left, videos, sizes_px, focal_px, aspect)
     return replace(calibration, search_notes=(*calibration.search_notes, *notes))
+
+
+def _check_no_names(names: Sequence[str]) -> None:
+    """Raise RigError for names of cameras without a calibration file that has them."""
+    if names:
+        raise RigError(
+            f"--camera {','.join(names)}: expected a calibration file with cameras of these names, "
+            "found none; give --rig FILE, or omit the option."
+        )
 
 
 def names_of(camera: str | Sequence[str]) -> tuple[str, ...]:
@@ -464,6 +470,10 @@ def calibration_of(
     Raises RigError if the file cannot be used, the cameras do not fit the images, or as
     `find_calibration`.
     """
+    if isinstance(cameras, Path):
+        chosen = _Chosen(cameras, tuple(names))
+        return _loaded(chosen, chosen.content(sizes_px), sizes_px, view)
+    _check_no_names(names)
     if cameras is None:
         if sizes_px[0] != sizes_px[-1]:
             (lw, lh), (rw, rh) = sizes_px
@@ -476,9 +486,6 @@ def calibration_of(
         return _assumed(
             PinholeCamera.of_focal_length(guess.focal_px, sizes_px[0]), sizes_px, guess, (guess,)
         )
-    if isinstance(cameras, Path):
-        chosen = _Chosen(cameras, tuple(names))
-        return _loaded(chosen, chosen.content(sizes_px), sizes_px, view)
     return _of_models(cameras, None, sizes_px, view)
 
 

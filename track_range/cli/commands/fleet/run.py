@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from track_range.cli.shared.parameters import command_of, given_values, parameters
 from track_range.fleet.settings import FleetSettings
 from track_range.foundation.schemas.options import option_of
+from track_range.recording.cameras.calibration import names_of
 from track_range.run.options.settings import RunSettings
 
 if TYPE_CHECKING:
@@ -92,7 +93,7 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
     checked_settings = {
         key: options[key] for key in ("focal_px", "fps", "stereo_layout") if key in options
     }
-    cameras = settings.rig_camera.split(",") if settings.rig_camera else ()
+    cameras = names_of(settings.rig_camera or ())
     has_camera = settings.camera is not None
     for checked in check_clips(
         [task.clip for task in todo], has_camera=has_camera, cameras=cameras, **checked_settings
