@@ -70,7 +70,8 @@ MOST_STATEMENTS = {
     # two that are compared (30)
     # the part of the sensor that images show (14)
     # the offset of the clocks of two videos, from their images (61)
-    "stereo": 10_387,
+    # cameras in lists, stretched images and regions named, and the pair of a rectifier (25)
+    "stereo": 10_368,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
@@ -126,6 +127,7 @@ MOST_STATEMENTS = {
     # what happens in a recording, of several drives (17)
     # a table by drive of labelled distances (25)
     # tables by cell, and by drive where there are several (12)
+    # names of cameras of a fleet's check (1)
     "cli": 2_477,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
@@ -181,7 +183,8 @@ MOST_STATEMENTS = {
     # what logs state of speeds and times: units, starts, signs, orders, dates, several speeds (144)
     # formats without a clock, and what other files are (93); times and counters in names, and chapters
     # (64); clocks of a pair with other origins (82)
-    "recording": 7_984,
+    # names of cameras without a file are refused (4)
+    "recording": 7_920,
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)
     # the shape of an estimate of a camera (20)

@@ -234,18 +234,23 @@ def _xml_values(text: str, path: Path, expected: str) -> dict[str, Any]:
             f"{path}: expected the key {repeated[0]} once, found it {counts[repeated[0]]} times."
         )
 
-    def value(node: ElementTree.Element, depth: int = 0) -> Any:
-        """The words of an element, a list for data and sizes; or its children by name."""
-        if len(node) and depth < 4:
-            counts = Counter(part.tag for part in node)
-            return {
-                part.tag if counts[part.tag] == 1 else f"{part.tag}{number}": value(part, depth + 1)
-                for number, part in enumerate(node[:MAX_NUMBERS], 1)
-            }
-        words = [word.strip('"') for word in (node.text or "").split()]
-        return words[0] if len(words) == 1 and node.tag != "data" else words
+    return {node.tag: _xml_value(node) for node in root}
 
-    return {node.tag: value(node) for node in root}
+
+def _xml_value(node: ElementTree.Element, depth: int = 0) -> Any:
+    """The words of an element, a list for data and sizes; or its children by name, with their numbers
+    if a name is repeated.
+    """
+    if len(node) and depth < 4:
+        counts = Counter(part.tag for part in node)
+        return {
+            part.tag if counts[part.tag] == 1 else f"{part.tag}{number}": _xml_value(
+                part, depth + 1
+            )
+            for number, part in enumerate(node[:MAX_NUMBERS], 1)
+        }
+    words = [word.strip('"') for word in (node.text or "").split()]
+    return words[0] if len(words) == 1 and node.tag != "data" else words
 
 
 def _numpy_text(path: Path) -> str:
