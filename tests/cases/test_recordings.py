@@ -60,7 +60,7 @@ CASES = (
         n_frames=10,
         step_s=0.1,
         size_px=(320, 180),
-        note="grey with 16 bits, which is depth or infrared) is left out, track 0 is used",
+        note="depth or infrared by its name or grey values) is left out, track 0 is used",
     ),
 )
 

@@ -37,7 +37,7 @@ FORMATS = (
 PIXELS = {"mjpeg": "yuvj420p", "png": "rgb24", "gif": "rgb8"}
 
 
-def written(path: Path, name: str, codec: str, rate: int) -> Path:
+def written(path: Path, name: str, codec: str, rate: int, *, first: int = 0) -> Path:
     """A file of grey images that become lighter."""
     with av.open(str(path), "w", format=name) as container:
         stream = container.add_stream(codec, rate=rate)
@@ -46,7 +46,7 @@ def written(path: Path, name: str, codec: str, rate: int) -> Path:
         for number in range(N_FRAMES):
             image = np.full((288, 352, 3), 20 + 10 * number, np.uint8)
             frame = av.VideoFrame.from_ndarray(image).reformat(format=stream.pix_fmt)
-            frame.pts, frame.time_base = number, Fraction(1, rate)
+            frame.pts, frame.time_base = first + number, Fraction(1, rate)
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
     return path
@@ -83,6 +83,22 @@ def test_given_rate_of_a_file_with_times(tmp_path: Path) -> None:
     assert "--fps is left out" in video.notes[0]
 
 
+def test_rate_that_is_a_clock(tmp_path: Path) -> None:
+    video = open_video(written(tmp_path / "film.h264", "h264", "libx264", 1000))
+    assert video.fps == 25.0
+    assert "25 frames/s are assumed" in video.notes[0]
+
+
+def test_clock_set_back_far(tmp_path: Path) -> None:
+    later, first = tmp_path / "later.ts", tmp_path / "first.ts"
+    written(first, "mpegts", "mpeg2video", 25)
+    written(later, "mpegts", "mpeg2video", 25, first=2500)
+    (tmp_path / "joined.ts").write_bytes(later.read_bytes() + first.read_bytes())
+    video = open_video(tmp_path / "joined.ts")
+    assert np.diff([frame.time_s for frame in video]).max() < 0.2
+    assert any("the clock was set back 1 time" in note for note in video.notes)
+
+
 def test_several_streams_without_times(tmp_path: Path) -> None:
     for number in (1, 2):
         written(tmp_path / f"{number}.mjpeg", "mjpeg", "mjpeg", 10)
@@ -97,6 +113,7 @@ def test_several_streams_without_times(tmp_path: Path) -> None:
     ("name", "text", "words"),
     [
         ("live.m3u8", b"#EXTM3U\n#EXT-X-VERSION:3\na.ts\n", "playlist.*folder that contains them"),
+        ("0001.m4s", b"\0\0\0\x18stypmsdh\0\0\0\0", "fragment.*cat init.mp4"),
         ("live.mpd", b'<?xml version="1.0"?>\n<MPD>', "playlist"),
         ("camera.sdp", b"v=0\r\no=- 0 0 IN IP4 1.2.3.4\r\n", "SDP.*address of the stream"),
         ("drive.yuv", bytes(2000), "pixels without a header.*-framerate RATE"),
@@ -116,13 +133,17 @@ def test_one_image_is_no_video(tmp_path: Path) -> None:
         open_video(tmp_path / "one.jpg")
 
 
-@pytest.mark.parametrize("depth", ["gray16le", "gray10le"])
-def test_depth_beside_colour(tmp_path: Path, depth: str) -> None:
+@pytest.mark.parametrize(
+    ("depth", "title"),
+    [("gray16le", ""), ("gray10le", ""), ("gray", "DEPTH"), ("bgr0", "Thermal 1")],
+)
+def test_depth_beside_colour(tmp_path: Path, depth: str, title: str) -> None:
     path = tmp_path / "depth.mkv"
     with av.open(str(path), "w") as container:
         colour, other = (container.add_stream(codec, rate=10) for codec in ("mjpeg", "ffv1"))
         for stream, side_px, pixels in ((colour, 64, "yuvj420p"), (other, 128, depth)):
             stream.width, stream.height, stream.pix_fmt = side_px, side_px, pixels
+        other.metadata["title"] = title
         for number in range(3):
             for stream in (colour, other):
                 frame = av.VideoFrame(stream.width, stream.height, stream.pix_fmt)
@@ -132,7 +153,9 @@ def test_depth_beside_colour(tmp_path: Path, depth: str) -> None:
             container.mux(stream.encode(None))
     video = open_video(path)
     assert (video.width_px, video.height_px) == (64, 64)
-    assert "video track 1 (128x128 px, grey with 16 bits, which is depth" in video.notes[0]
+    assert (
+        "video track 1 (128x128 px, depth or infrared by its name or grey values" in video.notes[0]
+    )
     assert open_video(path, track=1).width_px == 128
     with pytest.raises(VideoError):  # no pair of tracks
         open_recording(path, stereo_layout="tracks", focal_px=50.0)

@@ -77,6 +77,10 @@ MORE_TIMES = (
     (["142559950.jpg", "142600000.jpg"], [0.05]),
     (["235959950.jpg", "000000000.jpg"], [0.05]),  # midnight
     (["1403636579_963555584.png", "1403636580_013555456.png"], [0.04999987]),
+    (["00-00-59.950.png", "00-01-00.000.png"], [0.05]),
+    (["2026-01-31_14-25-59.9.png", "2026-01-31_14-26-00.0.png"], [0.1]),
+    (["vlcsnap-2026-01-31-14h25m59s900.png", "vlcsnap-2026-01-31-14h26m00s000.png"], [0.1]),
+    (["f_66.667.png", "f_100.000.png", "f_133.333.png"], [0.033333, 0.033333]),  # ms
 )
 
 
@@ -91,6 +95,18 @@ def test_short_dates_and_times_of_day(tmp_path, names, steps_s):
 def test_counters_are_no_times_of_day(tmp_path, step):
     names = [f"{number * step:09d}.png" for number in range(20)]
     assert named_images(touch(tmp_path / "a", names)).times_s is None
+
+
+@pytest.mark.parametrize(
+    ("prefix", "digits", "step"),
+    [("20260131_142530_", 6, 1), ("20260131_142530_", 3, 1), ("cam0.", 4, 1), ("", 9, 10)],
+)
+def test_counters_behind_dates_and_points(tmp_path, prefix, digits, step):
+    names = [f"{prefix}{number:0{digits}d}.png" for number in range(0, 20 * step, step)]
+    names = [name.replace("0000", "0012", 1) for name in names] if not prefix else names
+    images, times_s, *_ = named_images(touch(tmp_path / "a", names))
+    assert times_s is None
+    assert np.diff([number for number, _ in images]) == pytest.approx(step)
 
 
 NUMBERS = (  # names in their order, and the frame numbers
@@ -127,6 +143,9 @@ def test_numbers_in_names(tmp_path, names, numbers):
     ("name", "text", "steps_s"),
     [
         ("times.txt", "0.000000e+00\n1.036740e-01\n2.074500e-01\n", [0.103674, 0.103776]),
+        ("times.txt", "0\n33\n67\n", [0.033, 0.034]),  # ms
+        ("times.txt", "16.667\n33.333\n50.0\n", [0.016666, 0.016667]),  # ms
+        ("timestamps.txt", "0\n100000\n200000\n", [0.1, 0.1]),  # us
         ("timestamps.txt", "1403636579763555584\n1403636579813555456\n1403636579863555584\n", [0.05, 0.05]),
         ("data.csv", "#timestamp [ns],filename\n1403636579763555584,2.png\n1403636579813555584,1.png\n"
          "1403636579873555584,0.png\n1403636579973555584,9.png\n", [-0.06, -0.05]),

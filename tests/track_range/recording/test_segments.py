@@ -283,6 +283,10 @@ CHAPTERS = (  # given by name; the order; with the dates of their recordings, an
     (["GX010001", "GX010002", "GX020001"], ["GX010001", "GX020001", "GX010002"]),
     (["GH010012", "GH010013", "GH020012"], ["GH010012", "GH020012", "GH010013"]),
     (
+        ["GF010001", "GF020001", "GPFR0001", "GPFR0002"],
+        ["GPFR0001", "GF010001", "GF020001", "GPFR0002"],
+    ),
+    (
         ["GOPR0001", "GOPR0002", "GP010001", "GP020001"],
         ["GOPR0001", "GP010001", "GP020001", "GOPR0002"],
     ),

@@ -24,9 +24,11 @@ def natural_key(name: str) -> list[tuple[int, int, str]]:
     ]
 
 
-# GX020001: chapter 2 of recording 1; GOPR0001: the first chapter of earlier cameras (GoPro)
+# GX020001: chapter 2 of recording 1; GOPR0001, GPFR0001, GPBK0001: the first chapter of earlier
+# cameras (GoPro)
 _CHAPTER = re.compile(
-    r"(?<![a-z0-9])(?:gopr|g[a-z](?P<chapter>\d\d))(?P<recording>\d{4})(?!\d)", re.IGNORECASE
+    r"(?<![a-z0-9])(?:gopr|gpfr|gpbk|g[a-z](?P<chapter>\d\d))(?P<recording>\d{4})(?!\d)",
+    re.IGNORECASE,
 )
 
 

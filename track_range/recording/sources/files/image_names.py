@@ -2,7 +2,7 @@
 
 time      a date (2026-01-31T14-25-30.123, 260131_142530123), a time of day with a fraction (14-25-30.123, 142530123),
 a decimal (1305031102.175304, 1305031102_175304), or 10 to 19 digits without leading zeros, in the unit (s, ms, us,
-ns) that gives a plausible frame rate; in all names, and different in each
+ns) that gives a plausible frame rate; in all names, different in each, and not as close as numbers (142530_001)
 number    the last field of digits that differs in each name, in the same order as all fields together
 else      natural order: fields of digits are compared as numbers
 
@@ -10,7 +10,6 @@ else      natural order: fields of digits are compared as numbers
 1403636579763555584.png (EuRoC)   n015-2018-07-24-11-22-45+0800__CAM_FRONT__1532402927612460.jpg (nuScenes)
 """
 
-import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,29 +21,32 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.foundation.files.input_files import MAX_TEXT_BYTES, counted, read_text, readable
 from track_range.recording.video.file_names import is_pattern, matching_files, natural_key
-from track_range.recording.video.frame import VideoError
+from track_range.recording.video.frame import TIME_EPSILON_S, VideoError
 
+# 3, 6 or 9 digits; after a point also others
+_FRACTION = r"[-_.,s]?(\d{9}|\d{6}|\d{3}|(?<=[.,])\d{1,9})"
 _DATE = re.compile(
     r"(?<!\d)((?:19|20)\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])[-_.T ]{0,3}"
-    r"([01]\d|2[0-3])[-_.:h]?([0-5]\d)[-_.:m]?([0-5]\d)(?:[-_.,]?(\d{9}|\d{6}|\d{3}))?(?!\d)"
+    r"([01]\d|2[0-3])[-_.:h]?([0-5]\d)[-_.:m]?([0-5]\d)"
+    rf"(?:{_FRACTION})?(?!\d)"
 )
 # of 2010 to 2049, without separators (ApolloScape)
 _SHORT_DATE = re.compile(
     r"(?<!\d)([1-4]\d)(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])[-_]"
-    r"([01]\d|2[0-3])([0-5]\d)([0-5]\d)(?:[-_.]?(\d{9}|\d{6}|\d{3}))?(?!\d)"
+    r"([01]\d|2[0-3])([0-5]\d)([0-5]\d)"
+    rf"(?:{_FRACTION})?(?!\d)"
 )
 _TIME_OF_DAY = re.compile(
-    r"(?<!\d)([01]\d|2[0-3])[-_.:h]?([0-5]\d)[-_.:m]?([0-5]\d)[-_.,]?(\d{9}|\d{6}|\d{3})(?!\d)"
+    rf"(?<!\d)([01]\d|2[0-3])[-_.:h]?([0-5]\d)[-_.:m]?([0-5]\d){_FRACTION}(?!\d)"
 )
-# earliest time of day, and smallest median step, of names that are no counters with zeros in front
-_MIN_TIME_OF_DAY_S, _MIN_CLOCK_STEP_S = 60.0, 0.003
+_MIN_HHMMSS_S = 3600.0  # earliest time of day of six digits that are no counter with zeros in front
 _DAY_S = 86_400.0
 _SECONDS_AND_PARTS = re.compile(r"(?<!\d)(1\d{9})_(\d{9}|\d{6})(?!\d)")
 _DECIMAL = re.compile(r"(?<!\d)(\d+)\.(\d+)")
 _INTEGER = re.compile(r"(?<![\d.])([1-9]\d{9,18})(?![\d.])")
 _UNITS_S = (1.0, 1e-3, 1e-6, 1e-9)
-# plausible median times between frames, and a usual one
-_STEP_S, _USUAL_STEP_S = (5e-4, 20.0), 0.05
+# median times between frames from which the unit of numbers follows, and the longest one of others
+_STEP_S, _MAX_STEP_S = (0.003, 3.0), 20.0
 _EPOCH_S = (6e8, 4.2e9)  # 1989 to 2103; a time in this range is taken as one since 1970
 _MIN_STEPS = 3  # number of steps from which there is a usual one
 _MAX_GAP = 100  # largest mean step of numbers that count frames
@@ -214,7 +216,7 @@ def _times_in_names(stems: Sequence[str]) -> tuple[FloatArray | None, bool]:
         return None, False
     for pattern in (_DATE, _SHORT_DATE):
         times_s = _dates_s(_last_matches(pattern, stems))
-        if times_s is not None and _are_distinct(times_s):
+        if times_s is not None and _are_times(times_s):
             return times_s, True
     times_s = _times_of_day_s(_last_matches(_TIME_OF_DAY, stems))
     if times_s is None:
@@ -238,23 +240,25 @@ def _times_of_day_s(matches: Sequence[re.Match[str]]) -> FloatArray | None:
     )
     if np.ptp(times_s) > _DAY_S / 2:
         times_s[times_s < _DAY_S / 2] += _DAY_S
-    step_s = float(np.median(np.diff(np.sort(times_s))))
-    is_clock = times_s.min() >= _MIN_TIME_OF_DAY_S and _MIN_CLOCK_STEP_S <= step_s <= _STEP_S[1]
-    return times_s if is_clock and _are_distinct(times_s) else None
+    is_late = times_s.min() >= _MIN_HHMMSS_S
+    is_clock = is_late or not any(match[0][:6].isdecimal() for match in matches)
+    is_clock = is_clock and float(np.median(np.diff(np.sort(times_s)))) <= _MAX_STEP_S
+    return times_s if is_clock and _are_times(times_s) else None
 
 
 def _numbers_s(stems: Sequence[str]) -> FloatArray | None:
     """(N,) times in seconds of decimals or long numbers; None if there are none."""
     decimals = [_DECIMAL.findall(stem) for stem in stems]
     if all(decimals):
-        readings = _decimals_s([parts[-1] for parts in decimals])
-        distinct = [times_s for times_s in readings if _are_distinct(times_s)]
-        if distinct:
-            return min(distinct, key=lambda times_s: float(np.std(np.diff(np.sort(times_s)))))
+        readings = [_in_seconds(values) for values in _decimals([parts[-1] for parts in decimals])]
+        possible = [times_s for times_s in readings if times_s is not None and _are_times(times_s)]
+        if possible:
+            return min(possible, key=lambda times_s: float(np.std(np.diff(np.sort(times_s)))))
     integers = [_INTEGER.findall(stem) for stem in stems]
     if not all(integers):
         return None
-    return _in_seconds(np.array([float(parts[-1]) for parts in integers]))
+    times_s = _in_seconds(np.array([float(parts[-1]) for parts in integers]))
+    return None if times_s is None or not _are_times(times_s) else times_s
 
 
 def _dates_s(matches: Sequence[re.Match[str]]) -> FloatArray | None:
@@ -269,7 +273,7 @@ def _dates_s(matches: Sequence[re.Match[str]]) -> FloatArray | None:
         return None
 
 
-def _decimals_s(parts: Sequence[tuple[str, str]]) -> list[FloatArray]:
+def _decimals(parts: Sequence[tuple[str, str]]) -> list[FloatArray]:
     """Two readings, (N,) each, of the digits before and after the points.
 
     Some programs write sec.micro without zeros in front of the fraction: 1305031102.75304 is
@@ -281,27 +285,25 @@ def _decimals_s(parts: Sequence[tuple[str, str]]) -> list[FloatArray]:
     return [whole + [float("0." + text) for text in texts] for texts in (fractions, padded)]
 
 
-def _are_distinct(times_s: FloatArray) -> bool:
-    return len(np.unique(times_s)) == len(times_s)
+def _are_times(times_s: FloatArray) -> bool:
+    """Whether times are different, and not as close as numbers behind a date or a point."""
+    steps_s = np.diff(np.sort(times_s))
+    return bool(steps_s.min() > 0) and float(np.median(steps_s)) >= _STEP_S[0] - TIME_EPSILON_S
 
 
 def _in_seconds(values: FloatArray) -> FloatArray | None:
-    """(N,) times in seconds of times in an unknown unit; None if none gives a plausible frame
-    rate.
+    """(N,) times in seconds of times in an unknown unit: the one in which the first is a date, else
+    that of a plausible frame rate; None if there is none.
     """
-    if len(values) < 2 or not _are_distinct(values):
-        return None
     steps = np.diff(np.sort(values))
-    step, units = (
-        float(np.median(steps)),
-        [unit for unit in _UNITS_S if _EPOCH_S[0] < values[0] * unit < _EPOCH_S[1]],
-    )
-    plausible = [unit for unit in units or _UNITS_S if _STEP_S[0] <= step * unit <= _STEP_S[1]]
-    if not plausible:
+    if not (steps > 0).any():
         return None
-    return np.asarray(
-        values * min(plausible, key=lambda unit: abs(math.log(step * unit / _USUAL_STEP_S)))
-    )
+    step = float(np.median(steps[steps > 0]))
+    dated = [unit for unit in _UNITS_S if is_epoch(values[0] * unit)]
+    longest_s = _MAX_STEP_S if dated else _STEP_S[1]
+    possible = (unit for unit in dated or _UNITS_S if _STEP_S[0] <= step * unit < longest_s)
+    unit = next(possible, None)
+    return None if unit is None else np.asarray(values * unit)
 
 
 def _stated_times(
@@ -364,11 +366,9 @@ def _parsed_times(cells: Sequence[str]) -> FloatArray | None:
         values = np.array([float(cell) for cell in cells])
     except ValueError:
         return None
-    if not np.isfinite(values).all() or (len(values) > 1 and not values.max() > values.min()):
+    if not np.isfinite(values).all():
         return None
-    if all(cell.strip().isdecimal() for cell in cells) and values.max() > _EPOCH_S[0]:
-        return _in_seconds(values)
-    return values
+    return _in_seconds(values) if len(values) > 1 else values
 
 
 def is_epoch(time_s: float) -> bool:

@@ -63,9 +63,10 @@ _MIN_RATE_HZ, _MAX_RATE_HZ = 1e-4, 1e4
 
 _STILL = Disposition.attached_pic | Disposition.timed_thumbnails  # streams that are no videos
 
+_DEPTH = re.compile(r"(?<![a-z])(depth|disparity|infrared|ir|thermal)(?![a-z])", re.IGNORECASE)
 _START_BYTES = 400  # of a file that cannot be read, which show what it is
 _MAX_DENOMINATOR = 100_000  # of rates such as 30000/1001
-_MAX_STATED_HZ = 1000.0  # largest rate of a stream without times; others belong to a clock
+_MAX_STATED_HZ = 500.0  # largest rate of a stream without times; others belong to a clock
 # FFmpeg gives the clock of these codecs, 30000/1001 Hz, as the rate
 _CLOCKED_CODECS = ("h261", "h263")
 _MIN_SHARED = 10  # number of frames per time from which the times of a file are useless
@@ -73,6 +74,7 @@ _MAX_ENTRIES = 10_000  # entries of the index of a file that are compared: ten h
 # step back in time from which the clock was set back; frames are stored in another order within
 # less
 _RESET_S = 1.0
+_MAX_GAP_S = 40_000.0  # longest gap; FFmpeg adds 95443 s to transport streams that are set back far
 # time between keyframes up to which the images shortly after each of them stand for all
 _CLOSE_KEYFRAMES_S = 1.25
 # time base of Matroska, and largest error of its rounding, s
@@ -127,8 +129,9 @@ class VideoFile(RecordedVideo):
         self._first = next(iter(self._reading), None)
         if self._first is None:
             raise VideoError(
-                f"{path}: no frame can be decoded; the video is damaged or truncated, or its "
-                f"images have more than {MAX_PIXELS // 10**6} megapixels."
+                f"{path}: no frame can be decoded; the video is damaged, truncated, or only the "
+                "first file of fragments (.m4s, to be joined), or its images have more than "
+                f"{MAX_PIXELS // 10**6} megapixels."
             )
         _, self.first_time_s, frame = self._first
         self.metadata = {**container.metadata, **stream.metadata}
@@ -370,7 +373,7 @@ class _Reading:
                 continue
             pair = kind = ""
             if other in self.depth_tracks:
-                kind = ", grey with 16 bits, which is depth or infrared"
+                kind = ", depth or infrared by its name or grey values"
             elif size_px == self.tracks_px[number]:
                 pair = ", and --stereo FILE uses two of equal size as left and right"
             notes.append(
@@ -543,7 +546,9 @@ class _Reading:
         tick_s = float(self.time_base)
         if last is not None and self._shift and 0 < (stamp - last) * tick_s < _RESET_S:
             self._shift = 0  # a single wrong time, or the clock continues
-        elif last is not None and (stamp + self._shift - last) * tick_s < -_RESET_S:
+        elif last is not None and not (
+            -_RESET_S <= (stamp + self._shift - last) * tick_s <= _MAX_GAP_S
+        ):
             self._shift = last + round(1 / (self.fps * tick_s)) - stamp
             self.log.resets_s.append(last * tick_s)
         if self._shift:
@@ -655,7 +660,9 @@ def _open(path: Path) -> tuple[InputContainer, list[VideoStream]]:
 
 
 def _is_depth(stream: VideoStream) -> bool:
-    """Whether the pixels of a track are one grey value of more than 8 bits."""
+    """Whether the name of a track says so, or its pixels are one grey value of more than 8 bits."""
+    if any(_DEPTH.search(stream.metadata.get(key, "")) for key in ("title", "handler_name")):
+        return True
     pixels = stream.codec_context.format
     return pixels is not None and [part.bits > 8 for part in pixels.components] == [True]
 
@@ -687,7 +694,7 @@ _NO_VIDEOS = (
     (
         rb"[^\n]*\n\s*(#EXTM3U|\[playlist\]|ffconcat|(<\?xml[^>]*>\s*)?<MPD)",
         "expected a video, found a playlist, which names other files; give these files, or the "
-        "folder that contains them.",
+        "folder that contains them (join fragments .m4s behind their first file).",
     ),
     (
         rb"[^\n]*\nv=0\s+o=",
@@ -700,6 +707,11 @@ _NO_VIDEOS = (
         "OUT.mkv).",
     ),
     (rb"\.svo2?\n", ZED_SENTENCE),
+    (
+        rb"[^\n]*\n.{4}(styp|moof|sidx)",
+        "expected a video, found a fragment of one, as of HLS or DASH; join the first file of the "
+        "stream and its fragments in their order (cat init.mp4 *.m4s > drive.mp4).",
+    ),
     (
         rb"[^\n]*\n.{4}ftyp",
         "this MP4 file has no index, since recording or copying was cut off; copy it again, or "
