@@ -184,8 +184,8 @@ MOST_STATEMENTS = {
     # formats without a clock, and what other files are (93); times and counters in names, and chapters
     # (64); clocks of a pair with other origins (82)
     # names of cameras without a file are refused (4)
-    # depth tracks by their names, counters behind dates (6)
-    "recording": 7_994,
+    # depth tracks by their names, counters behind dates, offsets of unequal rates (7)
+    "recording": 7_995,
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)
     # the shape of an estimate of a camera (20)

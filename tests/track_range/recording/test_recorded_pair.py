@@ -14,6 +14,7 @@ from track_range.recording.pairs.recorded_pair import RecordedPair
 from track_range.recording.sources.open_video import open_video
 from track_range.recording.video.frame import VideoError
 from track_range.recording.video.recorded_video import RecordedVideo
+from track_range.stereo.alignment.common_moment import ClockOffset
 
 Level = Callable[..., np.ndarray]
 
@@ -76,6 +77,15 @@ def test_clocks_without_an_origin(
     n_later = 0 if offset_s else round(10 * (first_s - 1.0))
     assert indices(video) == [(n + n_later, n) for n in range(10 - n_later)]
     assert any("without a common origin" in note for note in video.notes) == bool(offset_s)
+
+
+@pytest.mark.parametrize(("value_s", "is_used"), [(0.2, False), (0.4, True)])
+def test_offset_of_images_is_as_fine_as_the_slower_video(
+    view: View, value_s: float, is_used: bool
+) -> None:
+    pair = RecordedPair(view(times(40, rate_hz=20.0)), view(times(10, rate_hz=5.0)))
+    assert pair.use_offset(ClockOffset("found", value_s)) is is_used
+    assert pair.right.offset_s == (value_s if is_used else 0.0)
 
 
 def test_synchronised_videos(view: View) -> None:

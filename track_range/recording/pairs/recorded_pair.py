@@ -134,7 +134,8 @@ class RecordedPair(VideoPair[RecordedVideo]):
                 "belong together: the pairs follow from the times of the files, and stereo is "
                 "wrong if these are."
             )
-        if offset.kind != "found" or abs(offset.value_s) < _MIN_OFFSET_INTERVALS / self.left.fps:
+        smallest_s = _MIN_OFFSET_INTERVALS / min(self.left.fps, self.right.fps)
+        if offset.kind != "found" or abs(offset.value_s) < smallest_s:
             return False
         self.right.offset_s += offset.value_s
         self._clock_notes = [
