@@ -41,11 +41,12 @@ _KINDS = {
     "bicycle": ("cyclist", "bicyclist", "biker"),
     "car": ("van", "taxi", "cab", "suv", "sedan", "hatchback", "minivan", "pickup", "pickup truck", "police car",
             "limousine", "jeep", "ambulance", "vehicle.emergency.police",
-            "emergency vehicle", "transporter"),
+            "emergency vehicle", "transporter", "regular vehicle", "mini van"),
     "motorcycle": ("scooter", "moped", "e bike"),
-    "bus": ("minibus", "coach", "school bus", "bendy bus"),
+    "bus": ("minibus", "mini bus", "coach", "school bus", "bendy bus", "articulated bus", "double decker bus"),
     "truck": ("trailer", "caravan", "construction vehicle", "vehicle.construction", "semi", "fire truck", "tanker",
-              "heavy vehicle", "large vehicle"),
+              "heavy vehicle", "large vehicle", "box truck", "dump truck", "garbage truck", "firetruck",
+              "semi truck", "truck cab", "vehicular trailer"),
     "traffic sign": ("stop sign", "speed limit sign"),
 }
 # fmt: on
@@ -81,7 +82,15 @@ _GENERAL = (
 # words that change the size of a class, not the class
 _SIZE_WORDS = frozenset("big small mid medium large heavy long short s m l xl".split())
 # of regions that are not evaluated
-_REGION_NAMES = ("dontcare", "don't care", "ignore", "ignored", "ignored region", "ignore region")
+_REGION_NAMES = (
+    "dontcare",
+    "dont care",
+    "don't care",
+    "ignore",
+    "ignored",
+    "ignored region",
+    "ignore region",
+)
 # of a class that stands for no object
 _BACKGROUND_NAMES = ("background", "bg", "n/a")
 

@@ -31,6 +31,7 @@ from track_range.detection.classes import (
     ROAD_CLASSES,
     SAME_OBJECT_GROUP,
     VOC_CLASSES,
+    is_background_name,
     map_to_road_classes,
     road_class_of,
 )
@@ -255,8 +256,11 @@ class YoloDetector:
         if source != FROM_METADATA:
             notes.append(f"Class names of {name}: {source}.")
         usual = {*COCO_CATEGORIES, *VOC_CLASSES}  # of which a note would be no news
-        unknown = [name for name in self.model.names if name not in usual | {"__background__"}]
-        if other := [name for name in unknown if road_class_of(name) is None]:
+        if other := [
+            name
+            for name in self.model.names
+            if road_class_of(name) is None and name not in usual and not is_background_name(name)
+        ]:
             notes.append(
                 f"Boxes of {name} with other names than road classes are left out: "
                 f"{shortened(', '.join(other), 80)} (--names renames them)."

@@ -184,8 +184,8 @@ def labelled_rows(network: NetworkOutputs) -> Iterator[YoloModel]:
             code = corners(network.input_wh) if row.is_fraction else corners()
             boxes = row.boxes(i, code)
             model = _labelled(row.family, row.name, layout, boxes, row.input_format)
-            # rows of EfficientDet have COCO's ids
-            is_known = network.n_names is not None or shape[-1] > _N_COLUMNS
+            # rows of EfficientDet and SSD may count from 1
+            is_known = network.n_names is not None or row in _BATCH_ROWS
             yield replace(model, note=note, is_numbering_known=is_known)
 
 
@@ -398,7 +398,10 @@ def labels_boxes_scores(network: NetworkOutputs) -> Iterator[YoloModel]:
         codes = {"end2end": corners(), "end2end-fractions": corners(network.input_wh)}
         for name, code in codes.items():
             boxes = replace(rows, code=code)
-            yield _labelled("YOLO with suppression", name, layout, boxes, _USUAL_INPUT)
+            yield replace(
+                _labelled("YOLO with suppression", name, layout, boxes, _USUAL_INPUT),
+                is_numbering_known=network.n_names is not None,
+            )
     elif outputs.is_flat:
         yield _category_model(network, "torchvision", "torchvision", layout, rows)
     else:

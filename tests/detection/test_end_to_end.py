@@ -147,6 +147,20 @@ def test_rows_without_names_and_without_a_zero_are_a_question(tmp_path):
     assert sorted(detector.detect(IMAGE).class_id.tolist()) == [0, 3]  # person, motorcycle
 
 
+def test_ssd_and_suppressed_boxes_without_names_and_without_a_zero_are_a_question(tmp_path):
+    ssd = np.float32([[[[0, 3, 0.9, 0.1, 0.2, 0.4, 0.6]]]])
+    suppressed = {
+        "num": np.int64([[1]]),
+        "boxes": np.float32([[[10, 20, 30, 40], [40, 20, 50, 40]]]),
+        "scores": np.float32([[0.9, 0.8]]),
+        "labels": np.int64([[3, 6]]),
+    }
+    for outputs in ({"detections": ssd}, suppressed):
+        path = write_outputs(tmp_path / "m.onnx", outputs)
+        with pytest.raises(ModelError, match="--names coco or --names coco-ids"):
+            YoloDetector(path).detect(IMAGE)
+
+
 def test_a_list_may_have_the_background_first(tmp_path):
     """torchvision's labels count from 1, and its lists of categories have __background__."""
     outputs = {

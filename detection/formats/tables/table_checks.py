@@ -87,6 +87,7 @@ def frames_of_names(names: Sequence[str], path: Path) -> tuple[list[int], str]:
 
     LabelFileError unless the names differ only in one number, as the frames of one video do.
     """
+    check_one_video((re.split(r"[^/\\]*$", name)[0] for name in names), path)
     stems = [image_stem(name) for name in names]
     fields = [re.findall(r"\d+", stem) for stem in stems]
     for name, texts in zip(names, fields, strict=True):

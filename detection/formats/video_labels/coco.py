@@ -144,12 +144,8 @@ class CocoFile:
     def frames(self) -> tuple[dict[int | str, int], tuple[str, ...]]:
         """Frame number by image id, and notes for the user."""
         images = self.images
-        ids = [
-            self._id(image, "video_id", "images")
-            for image in images.values()
-            if image.get("video_id") is not None
-        ]
-        table_checks.check_one_video(ids, self.path)
+        for name in ("video_id", "video"):
+            table_checks.check_one_video((image.get(name) for image in images.values()), self.path)
         key = next(
             (key for key in _FRAME_KEYS if any(key in image for image in images.values())), None
         )
@@ -242,7 +238,7 @@ class CocoFile:
                     self._identity(*given[0], where) if given else -1,
                     self._names[category],
                     (x, y, x + width, y + height),
-                    item.get("iscrowd") in (1, True),
+                    1 in (item.get("iscrowd"), both.get("ignore")),  # True is 1
                     self._attribute(both, "score", where, -1e6, 1e6),
                     str(both.get("predicted")).lower() != "true",
                     self._attribute(both, "distance_m", where, 0.0, MAX_DISTANCE_M),

@@ -77,10 +77,9 @@ class KittiLabels:
 
     @property
     def has_3d_box(self) -> BoolArray:
-        """(N,) mask of the rows that have a 3-D box."""
-        return np.asarray(
-            (self.size_hwl_m > 0).all(axis=1) & (self.location_m > UNKNOWN_M).all(axis=1)
-        )
+        """(N,) mask of the rows that have a 3-D box; 0, 0, 0 and -1, -1, -1 stand for no place."""
+        is_known = (self.location_m > UNKNOWN_M).all(axis=1) & (self.size_hwl_m > 0).all(axis=1)
+        return np.asarray(is_known & ~np.isin(self.location_m, (0.0, -1.0)).all(axis=1))
 
 
 KITTI_TYPE_OF: Mapping[str, str] = {
@@ -166,7 +165,17 @@ def _rows(path: Path, *first: str) -> list[_Row]:
     """
     text = read_text(path, LabelFileError, "KITTI labels", max_bytes=MAX_TABLE_BYTES)
     cells_of = ((number, line.split()) for number, line in enumerate(text.split("\n"), 1))
-    return [_Row(path, number, [*first, *cells], len(cells)) for number, cells in cells_of if cells]
+    return [
+        _Row(path, number, _completed(cells, first), len(cells))
+        for number, cells in cells_of
+        if cells
+    ]
+
+
+def _completed(cells: list[str], first: Sequence[str]) -> list[str]:
+    """The cells behind the first; DeepStream's trackers write the identity after the type."""
+    has_identity = first and len(cells) == _OBJECT_COLUMNS + 2 and cells[1].isdecimal()
+    return [first[0], cells[1], cells[0], *cells[2:]] if has_identity else [*first, *cells]
 
 
 def _labels(rows: list[_Row]) -> KittiLabels:

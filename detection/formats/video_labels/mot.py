@@ -111,15 +111,14 @@ def mot_rows(
             f"format usually starts at {layout.first}."
         )
     score = layout.column(rows, "s", -1)
-    if names:
-        stated: tuple[str, Mapping[int, str]] | None = ("--names", dict(enumerate(names)))
-    else:
-        stated = _names_in_file(rows)
+    in_file = None if names else _names_in_file(rows)
+    score = layout.scores(score) if in_file is None else score
+    stated = ("--names", dict(enumerate(names))) if names else in_file
     if stated is not None and (class_number >= 0).any():
         notes.append(f"{rows.path.name}: class names are read from {stated[0]}.")
         names_of = stated[1]
     else:
-        score, names_of = layout.scores(score), layout.names or MOT_CLASSES
+        names_of = layout.names or MOT_CLASSES
         if layout.is_guessed:
             notes.append(
                 f"{rows.path.name}: nothing names its class numbers, so it is read as "

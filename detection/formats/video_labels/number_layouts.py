@@ -48,7 +48,7 @@ class NumberLayout:
     fits: Callable[[FloatArray], bool] = _always
     first: int = 1  # number of the first frame, and of the centre of the first pixel
     names: Mapping[int, str] | None = None  # by class number; None = MOTChallenge's
-    # (N,) scores, -1 = unknown, of those that are written with the names of the layout
+    # (N,) scores, -1 = unknown, of those that are written without a file of names
     scores: Callable[[FloatArray], FloatArray] = _as_written
     form: str = "mot"  # of `DetectionFormat`
     is_guessed: bool = False  # whether nothing in a file shows that its classes have these names
@@ -110,6 +110,27 @@ def _has_scores_last(values: FloatArray) -> bool:
     return has_classes and bool(is_score.all()) and len(np.unique(last)) > 1
 
 
+def _has_indices_last(values: FloatArray) -> bool:
+    """Whether fractions, a class from 1, and the number of a detection end the 9 columns, as in rows
+    of BoxMOT since version 13: visible fractions are at most 1.
+    """
+    score, classes, last = values[:, 6], values[:, 7], values[:, 8]
+    return (
+        are_integers(classes, 1, len(COCO_CLASSES))
+        and are_integers(last, -1, MAX_ID)
+        and bool(last.max() > 1)
+        and not np.isin(score, (0, 1)).all()
+    )
+
+
+def _has_classes_for_scores(values: FloatArray) -> bool:
+    """Whether the last of 7 columns are classes, one of person to motorcycle among them: whole scores
+    are per cent, which are not so low.
+    """
+    last = values[:, 6]
+    return are_integers(last, 0, _LAST_COCO) and last.min() <= 3 and last.max() > 1
+
+
 def _is_visdrone(values: FloatArray) -> bool:
     """Whether the last columns are a class, of which MOT's files of ten columns have none, and two
     flags.
@@ -131,7 +152,7 @@ def _without_rounded(score: FloatArray) -> FloatArray:
 def _coco_rows(columns: str, fits: Callable[[FloatArray], bool]) -> NumberLayout:
     """Rows of a tracker such as BoxMOT with a class, whose list they do not state."""
     return NumberLayout(
-        "rows of a tracker with COCO's classes",
+        "rows of a tracker with COCO's classes from 0 person, 2 car",
         columns,
         (len(columns),),
         fits,
@@ -156,7 +177,13 @@ LAYOUTS = (
     CORNERS,
     SIZES,
     NumberLayout("AI City rows camera id frame x y w h", "kifxywh", (7, 9), _is_ai_city),
+    _coco_rows("fixywhc", _has_classes_for_scores),
     _coco_rows("fixywh.cs", _has_scores_last),
+    replace(
+        _coco_rows("fixywhsc.", _has_indices_last),
+        title="rows of BoxMOT with COCO's classes from 1 person, 3 car",
+        names=dict(enumerate(COCO_CLASSES, start=1)),
+    ),
     _coco_rows("fixywhsc.", _has_classes_last),
     _coco_rows("fixywhsc", _has_classes_last),
     _coco_rows("fixywhcs", _has_classes_first),
@@ -174,6 +201,18 @@ LAYOUTS = (
 """The layouts that are not MOTChallenge's, in the order in which they are tried."""
 
 
+def _no_pixels_in(values: FloatArray) -> str:
+    """What rows are that have no boxes in pixels behind frame and identity; "" if they may have."""
+    if (np.abs(values[:, 2:6]) < 1).all():
+        return "only fractions of the image size"
+    # left, top, width, height, score, class, truncation, occlusion
+    is_image = np.isnan(values[:, 8]).all() and all(
+        are_integers(values[:, column], 0, highest)
+        for column, highest in ((4, 1), (5, 11), (6, 1), (7, 2))
+    )
+    return "VisDrone's labels of one image" if is_image else ""
+
+
 def layout_of(
     rows: NumberRows, form: str | None, names: tuple[str, ...] = ()
 ) -> NumberLayout | None:
@@ -187,6 +226,11 @@ def layout_of(
     if len(counts) != 1:
         return None
     (n_columns,) = counts
+    if content := _no_pixels_in(rows.values):
+        raise rows.error(
+            f"{rows.path}: expected rows frame,id,x,y,w,h,score in pixels, found {content}; convert "
+            "the file."
+        )
     fitting = [
         layout for layout in LAYOUTS if n_columns in layout.n_columns and layout.fits(rows.values)
     ]

@@ -23,7 +23,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.detection.boxes import HALF_PIXEL_PX, xyxy_from_cxcywh
-from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.classes import COCO_CLASSES
 from track_range.detection.formats.tables import table_checks
 from track_range.detection.formats.tables.box_table import (
     BoxTable,
@@ -56,6 +56,7 @@ WRITTEN_MARK = "# Written by track-range export."
 
 _INTEGER = re.compile(r"\d+")
 _N_BOX, _N_COLUMNS = 5, 7  # columns of a box, and of a box with score and identity
+_N_COMMON = 4  # names that COCO's list and the road classes have in common: person to motorcycle
 _MAX_FRACTION = 2.0  # of a plausible box, which may extend beyond the image
 
 _NOT_LABELS = frozenset({"classes.txt", "train.txt", "val.txt", "test.txt", "readme.txt"})
@@ -96,14 +97,13 @@ def read_yolo_folder(path: Path, video: VideoFacts) -> BoxTable:
         )
     frame_of, notes = _frames(path, files, video)
     first_frame = min(frame_of.values())
-    names = video.names or names_for_folder(folder)
-    if not names:
-        names = ROAD_CLASSES
+    stated = video.names or names_for_folder(folder)
+    names = stated or COCO_CLASSES
+    if not stated:
         notes.insert(
             0,
             f"{path.name}: there is no data.yaml or classes.txt with class names, so class numbers "
-            f"are read as 0 {ROAD_CLASSES[0]}, 1 {ROAD_CLASSES[1]} to {len(ROAD_CLASSES) - 1} "
-            f"{ROAD_CLASSES[-1]}; COCO's class numbers differ from 4 onwards (--names coco).",
+            "are read as 0 person, 1 bicycle, 2 car, 3 motorcycle; --names gives others.",
         )
     facts = _facts(path, folder, video)
     if facts.size_px is None:
@@ -121,6 +121,12 @@ def read_yolo_folder(path: Path, video: VideoFacts) -> BoxTable:
                 rows.append(_row(where, cells, len(names)))
                 lines.append((where, cells))
     table = np.array(rows, np.float64).reshape(-1, _N_COLUMNS)
+    if not stated and (number := int(table[:, 0].max(initial=0))) >= _N_COMMON:
+        raise LabelFileError(
+            f"{path}: expected the class names in data.yaml or classes.txt, found none, and the "
+            f"number {number} is {COCO_CLASSES[number]} in COCO's list but not in others; choose "
+            "with --names coco or --names a,b,c."
+        )
     score, track_id = _score_and_identity(table, lines)
     is_valid = (table[:, 3:5] > 0).all(axis=1)
     size_px = np.array([*facts.size_px, *facts.size_px])

@@ -62,6 +62,14 @@ def changed(path: tuple[str | int, ...], value: Any) -> str:
         (changed(("images", 1, "frame_index"), 0), "two for frame 0"),
         (changed(("images", 1, "frame_index"), -1), "frame_index"),
         (changed(("images", 1, "video_id"), 2), "one video"),
+        (
+            changed(("images",), [{"id": i, "video": i, "frame_index": i} for i in (1, 3)]),
+            "one video",
+        ),
+        (
+            changed(("images",), [{"id": i, "file_name": f"{i}/0{i}.png"} for i in (1, 3)]),
+            "one video",
+        ),
         (changed(("annotations", 0, "bbox"), [1, 2, 3]), "bbox"),
         (changed(("annotations", 0, "bbox"), [1, 2, -3, 4]), "bbox"),
         (changed(("annotations", 0, "bbox"), [1, 2, True, 4]), "bbox"),

@@ -94,7 +94,15 @@ def test_numbers_are_checked(tmp_path, cell):
         read_kitti(file)
 
 
-@pytest.mark.parametrize("unknown", ["0.0 0.0 0.0 0.0 0.0 0.0 0.0", "-1 -1 -1 -1 -1 -1 -1"])
+@pytest.mark.parametrize(
+    "unknown",
+    [
+        "0.0 0.0 0.0 0.0 0.0 0.0 0.0",
+        "-1 -1 -1 -1 -1 -1 -1",
+        "1.5 1.6 4.0 0.0 0.0 0.0 0.0",
+        "1.5 1.6 4.0 -1 -1 -1 0.0",
+    ],
+)
 def test_unknown_boxes_of_other_programs_have_no_distance(tmp_path, unknown):
     path = tmp_path / "labels.txt"
     known = "1.5 1.6 4.0 1.0 1.7 20.0 0.0"
@@ -117,3 +125,12 @@ def test_files_of_deepstream_are_named_after_the_camera_and_the_frame(tmp_path):
     (tmp_path / "00_001_000000.txt").write_text(row)
     with pytest.raises(LabelFileError, match="one video"):
         read_labels(tmp_path)
+
+
+def test_trackers_of_deepstream_write_the_identity_after_the_type(tmp_path):
+    for frame in range(2):
+        row = "car 12 0.0 0 0.0 10 20 30 40 0.0 0.0 0.0 0.0 0.0 0.0 0.0 0.9\n"
+        (tmp_path / f"00_000_{frame:06d}.txt").write_text(row)
+    table = read_labels(tmp_path)
+    assert (table.track_id.tolist(), table.score.tolist()) == ([12, 12], [0.9, 0.9])
+    assert table.xyxy_px[0].tolist() == [10, 20, 30, 40]

@@ -4,13 +4,16 @@ content."""
 from __future__ import annotations
 
 import itertools
+import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.classes import COCO_CLASSES, ROAD_CLASSES
 from track_range.detection.formats.label_formats import LABEL_FORMATS, label_format_of, read_labels
 from track_range.detection.formats.tables.box_table import BoxTable, VideoFacts
 from track_range.detection.formats.tables.errors import LabelFileError
@@ -240,7 +243,9 @@ def test_titles_of_help_pages():
     assert ", ".join(form.name for form in true) == TRUTH_NAMES
 
 
-@pytest.mark.parametrize("label", ["DontCare", "ignored region", "Ignored Regions", "ignore"])
+@pytest.mark.parametrize(
+    "label", ["DontCare", "dont_care", "ignored region", "Ignored Regions", "ignore"]
+)
 def test_labels_of_regions_are_regions_in_every_format(tmp_path: Path, label: str) -> None:
     table = BoxTable.of([0, 0], [3, 4], [label, "car"], [[1, 2, 3, 4]] * 2)
     assert table.is_region.tolist() == [True, False]
@@ -268,3 +273,28 @@ def test_tracks_without_ids_are_numbered(tmp_path: Path) -> None:
     path = tmp_path / "labels.xml"
     path.write_text(f"<annotations><version>1.1</version>{track}{track}</annotations>")
     assert read_labels(path).track_id.tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("mark", [{"ignore": 1}, {"attributes": {"ignore": True}}])
+def test_ignored_boxes_of_coco_are_regions(tmp_path: Path, mark: dict[str, Any]) -> None:
+    box = {"image_id": 1, "category_id": 1, "bbox": [1, 2, 3, 4]}
+    document = {
+        "images": [{"id": 1, "file_name": "000000.png"}],
+        "categories": [{"id": 1, "name": "car"}],
+        "annotations": [{"id": 1, **box}, {"id": 2, **box, **mark}],
+    }
+    path = tmp_path / "labels.json"
+    path.write_text(json.dumps(document))
+    assert sorted(read_labels(path).is_region.tolist()) == [False, True]
+
+
+def test_numbers_of_a_yolo_folder_without_names_are_a_question(tmp_path: Path) -> None:
+    """5 is a bus in COCO's list, and a truck in that of the road classes."""
+    video = VideoFacts(size_px=(100, 50))
+    (tmp_path / "drive_000000.txt").write_text("2 .4 .5 .1 .2")
+    table = read_labels(tmp_path, video)
+    assert (table.class_name.tolist(), "2 car" in table.notes[0]) == (["car"], True)
+    (tmp_path / "drive_000000.txt").write_text("5 .4 .5 .1 .2")
+    with pytest.raises(LabelFileError, match="--names coco"):
+        read_labels(tmp_path, video)
+    assert read_labels(tmp_path, replace(video, names=COCO_CLASSES)).class_name == ["bus"]

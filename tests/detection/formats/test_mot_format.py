@@ -142,6 +142,8 @@ LAYOUTS = {
     "visdrone": ("{g},7,{x},{y},{w},{h},1,4,0,1", 7, "car"),
     "boxmot": ("{g} 7 {x:.0f} {y:.0f} {w:.0f} {h:.0f} 0 2 -1", 7, "car"),
     "boxmot evaluation": ("{g},7,{x},{y},{w},{h},1,2,0.{g}8", 7, "car"),
+    "boxmot from 1": ("{g},7,{x},{y},{w},{h},0.{g}8,3,{g}", 7, "car"),
+    "class for score": ("{g},7,{x},{y},{w},{h},2", 7, "car"),
     "score and class": ("{g},7,{x},{y},{w},{h},0.{g}8,2", 7, "car"),
     "one and class": ("{g},7,{x},{y},{w},{h},1,2", 7, "car"),
     "class and score": ("{g},7,{x},{y},{w},{h},2,0.{g}8", 7, "car"),
@@ -157,7 +159,7 @@ LAYOUTS = {
 
 GUESSED = (
     *("boxmot", "boxmot evaluation", "score and class", "one and class", "class and score"),
-    "class of no benchmark",
+    *("boxmot from 1", "class for score", "class of no benchmark"),
 )
 
 
@@ -236,4 +238,29 @@ def test_several_cameras_of_ai_city_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "boxes.txt"
     path.write_text(rows_in("6 7 {g} {x:.0f} {y:.0f} {w:.0f} {h:.0f} -1 -1\n8 7 {g} 1 1 9 9 -1 -1"))
     with pytest.raises(MotFormatError, match="one camera"):
+        read_mot(path)
+
+
+@pytest.mark.parametrize("names", [(), CLASS_LISTS["coco"]])
+def test_rounded_scores_are_unknown_with_and_without_names(
+    tmp_path: Path, names: tuple[str, ...]
+) -> None:
+    path = tmp_path / "boxes.txt"
+    path.write_text(rows_in(LAYOUTS["boxmot"][0]))
+    rows = read_mot(path, names=names)
+    assert set(rows.class_name) == {"car"}
+    assert not rows.is_region.any()
+
+
+@pytest.mark.parametrize(
+    ("rows", "found"),
+    [
+        ("1,1,0.4,0.3,0.1,0.2,0.9\n2,1,0.4,0.3,0.1,0.2,0.9\n", "fractions"),
+        ("684,8,273,116,1,9,0,0\n406,119,265,70,0,0,0,0\n", "VisDrone's labels of one image"),
+    ],
+)
+def test_boxes_that_are_not_in_pixels(tmp_path: Path, rows: str, found: str) -> None:
+    path = tmp_path / "boxes.txt"
+    path.write_text(rows)
+    with pytest.raises(MotFormatError, match=found):
         read_mot(path)
