@@ -31,5 +31,5 @@ def assumed_rate_note(source: object, rate_hz: float) -> str:
     """Message for the user on a source without times for which no frame rate is given."""
     return (
         f"{source}: the images have no times; {rate_hz:g} frames/s are assumed, and all speeds "
-        "depend on this rate: give it with --fps (Python: fps)."
+        "depend on this rate: give it with --fps."
     )

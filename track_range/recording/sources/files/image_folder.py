@@ -92,7 +92,7 @@ class ImageFolder(RecordedVideo):
             return step
         self.time_question = (
             f"{growth}, as milliseconds do ({1000 / step:.3g} images/s), or numbers of frames of "
-            "which the others were left out; give the rate of these images with --fps (Python: fps)."
+            "which the others were left out; give the rate of these images with --fps."
         )
         return 1
 
