@@ -137,11 +137,7 @@ class CuboidSizes:
         self, boxes: BoxExtents, drive: DriveState | None, rows: IntArray
     ) -> tuple[FloatArray, ...]:
         n_bodies = len(self._tables.class_name)
-        if drive is not None and drive.doubt:
-            other, probability = drive.doubt
-            body, log_fraction = self._bodies_in_doubt(boxes, other[rows], probability[rows])
-        else:
-            body, log_fraction = self._bodies_of(boxes)
+        body, log_fraction = self._bodies_of(boxes)
         if drive is not None:
             log_fraction += drive.body_evidence(n_bodies)[body, rows[:, None]]
         by_size = mixture_by_size(self._tables, boxes, body, log_fraction)
@@ -206,19 +202,16 @@ class CuboidSizes:
 
     def _bodies_of(self, boxes: BoxExtents) -> tuple[IntArray, FloatArray]:
         """(N, M) body types that each box may show, and their log probabilities."""
+        if boxes.doubt is not None:
+            other, probability = boxes.doubt
+            q = np.where(self._has_prior[other], probability, 0.0)[:, None]
+            fraction = (1.0 - q) * self._fraction[boxes.size_class] + q * self._fraction[other]
+            return _possible_bodies(fraction)
         # possible types come first
         n_possible = int(self._n_bodies[boxes.size_class].max())
         body, log_fraction = self._mixture
         body, log_fraction = body[:, :n_possible], log_fraction[:, :n_possible]
         return body.take(boxes.size_class, axis=0), log_fraction.take(boxes.size_class, axis=0)
-
-    def _bodies_in_doubt(
-        self, boxes: BoxExtents, other: IntArray, probability: FloatArray
-    ) -> tuple[IntArray, FloatArray]:
-        """The same of boxes (N,) that may be of another class with a probability."""
-        q = np.where(self._has_prior[other], probability, 0.0)[:, None]
-        fraction = (1.0 - q) * self._fraction[boxes.size_class] + q * self._fraction[other]
-        return _possible_bodies(fraction)
 
     def _body_likelihood(
         self,

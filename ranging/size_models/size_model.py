@@ -73,23 +73,13 @@ class DriveState:
         # states of these tracks before the frame
         self._in_view: FloatArray = np.zeros((_BODIES, 0))
         self._time_s = 0.0
-        # (N,) classes that they may have instead, and the probabilities of these; () = no doubt
-        self.doubt: tuple[IntArray, FloatArray] | tuple[()] = ()
         # (5,) sums of the normal equations over the objects that left
         self.information: FloatArray = np.zeros(5)
         self.roughness = 1.0  # factor lambda of the variances of pitch and of contact points
 
-    def start_frame(
-        self,
-        track_id: IntArray,
-        time_s: float,
-        doubt: tuple[IntArray, FloatArray] | tuple[()] = (),
-    ) -> None:
-        """Start a frame with the tracks (N,) `track_id`, whose boxes are measured next; `doubt` are
-        the classes that they may have instead, and their probabilities.
-        """
+    def start_frame(self, track_id: IntArray, time_s: float) -> None:
+        """Start a frame with the tracks (N,) `track_id`, whose boxes are measured next."""
         self._track_id, self._time_s = track_id, time_s
-        self.doubt = doubt if doubt and doubt[1].any() else ()
         if self._tracks is None:
             return
         self._in_view = self._tracks.get(track_id)
@@ -237,6 +227,13 @@ def detector_noise(width_px: int) -> BoxNoise:
     return BoxNoise(px=0.36 * scale, systematic_px=0.77 * scale)
 
 
+class ClassDoubt(NamedTuple):
+    """Classes that N boxes may have instead of their own."""
+
+    size_class: IntArray  # (N,) index into `SIZE_CLASSES`
+    probability: FloatArray  # (N,) of this class; 0 = no doubt
+
+
 @dataclass(frozen=True, slots=True)
 class BoxExtents:
     """N boxes of one frame, with image coordinates divided by the focal length."""
@@ -250,13 +247,17 @@ class BoxExtents:
     edge_sigma: FloatArray  # (N, 2) standard deviation of one edge, in x and in y
     # (N, 2) of log width and log height, the same in all frames of an object
     systematic_sigma: FloatArray
+    doubt: ClassDoubt | None = None  # None = no box may be of another class
 
     def __len__(self) -> int:
         return len(self.bearing)
 
     def select(self, rows: BoolArray | IntArray) -> BoxExtents:
         """The boxes selected by a mask or an index array."""
-        return BoxExtents(*(getattr(self, field.name)[rows] for field in fields(self)))
+        *arrays, doubt = (getattr(self, field.name) for field in fields(self))
+        if doubt is not None:
+            doubt = ClassDoubt(*(column[rows] for column in doubt))
+        return BoxExtents(*(array[rows] for array in arrays), doubt)
 
     @property
     def noise_variance(self) -> FloatArray:

@@ -12,7 +12,7 @@ better than others, and nothing is known.
 import math
 from collections.abc import Callable
 from functools import cache
-from statistics import median_low
+from statistics import mean, median, median_low
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -87,11 +87,16 @@ def found_offset(left: TimedImages, right: TimedImages) -> ClockOffset:
     )
     agreeing = max(groups, key=len, default=[])
     if len(agreeing) >= _N_AGREEING and len(agreeing) > len(clear) / 2:
-        offset_s = median_low([peak.offset_s for peak in agreeing])
-        return ClockOffset("found", offset_s, *np.mean(agreeing, axis=0)[1:3].tolist())
-    _, best, _, shared = np.median(peaks, axis=0).tolist()
+        return ClockOffset(
+            "found",
+            value_s=median_low([peak.offset_s for peak in agreeing]),
+            points=mean(peak.points for peak in agreeing),
+            other_points=mean(peak.other_points for peak in agreeing),
+        )
+    best = median(peak.points for peak in peaks)
+    shared = median(peak.shared_points for peak in peaks)
     is_apart = not clear and shared >= 2 * _MIN_POINTS and best < _MAX_CHANCE * shared
-    return ClockOffset("apart" if is_apart else "unknown", math.nan, best, shared)
+    return ClockOffset("apart" if is_apart else "unknown", points=best, other_points=shared)
 
 
 def _peak(left_s: float, right_s: FloatArray, points: Callable[[int], int], shared: int) -> _Peak:

@@ -38,11 +38,16 @@ def chosen(
     for known in calibration.known_cameras:
         cameras.setdefault(known.name, []).append(known)
     has_poses = any(known.pose is not None for known in calibration.known_cameras)
-    is_alone = len(cameras) == 1 or not has_poses
-    if not names and is_pair is not False and (calibration.right or (is_pair and is_alone)):
+    is_unrelated = len(cameras) == 1 or not has_poses
+    # the caller reports that the pair is missing
+    lacks_pair = is_pair is True and is_unrelated
+    if not names and is_pair is not False and (calibration.right or lacks_pair):
         return calibration
-    usual = _usual_pair if is_pair else _usual_one
-    wanted = list(names) or usual(calibration, cameras, _of_size(cameras, size_px))
+    wanted = list(names)
+    if not wanted and is_pair:
+        wanted = _usual_pair(_of_size(cameras, size_px))
+    elif not wanted:
+        wanted = _usual_one(calibration, cameras, _of_size(cameras, size_px))
     _check_names(wanted, cameras, path, names, is_pair=is_pair)
     if len(wanted) == 2:
         return _pair(calibration, [cameras[name][0] for name in wanted], path, is_given=bool(names))
@@ -95,7 +100,7 @@ def _of_size(cameras: _Cameras, size_px: tuple[int, int] | None) -> list[str]:
     return fitting or list(cameras)
 
 
-def _usual_pair(_calibration: RigCalibration, _cameras: _Cameras, names: list[str]) -> list[str]:
+def _usual_pair(names: list[str]) -> list[str]:
     """The only two names, or the only ones of a left and a right camera; [] = others."""
     if len(names) == 2:
         return names

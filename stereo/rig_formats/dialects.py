@@ -206,9 +206,7 @@ DIALECTS = (
         name="gyroflow",
         title="Gyroflow's lens profile",
         pattern=re.compile('"fisheye_params"'),
-        assumed={
-            "distortion_model": "opencv_fisheye"
-        },  # the format's, unless it states another one
+        assumed={"distortion_model": "opencv_fisheye"},  # unless the file states another one
     ),
     Dialect(
         name="stella",

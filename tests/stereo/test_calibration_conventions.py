@@ -134,6 +134,11 @@ def test_agisoft(tmp_path: Path) -> None:
     )
     assert "p1 and p2 are left out" in note
     assert "r^8" not in note
+    more_terms = agisoft(k1=0.1, k2=0.02, p1=3e-3, p2=4e-3, p3=1e-4, p4=0)
+    note = check(
+        read(tmp_path, more_terms, "c.xml"), [1000, 1000, 639.5, 359.5], [0.1, 0.02, 4e-3, 3e-3]
+    )
+    assert "p3 and p4 are left out" in note
     assert "'cylindrical'" in refused(tmp_path, agisoft(projection="cylindrical"), "c.xml")
 
 

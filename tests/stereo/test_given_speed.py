@@ -201,3 +201,9 @@ def test_gap_of_the_given_speed_is_filled_by_the_images_in_its_scale():
     assert motion.speed_mps == pytest.approx(11.0, rel=0.02)
     assert 0.1 < motion.speed_sigma_mps < 0.6
     assert math.isnan(GivenSpeed().update(0.0, EgoMotion(), EgoMotion(10.0), (0.0, 0.3)).speed_mps)
+
+
+def test_speeds_near_times_are_those_beside_a_gap():
+    speed = EgoSpeed(np.array([0.0, 1.0, 16.0]), np.array([5.0, 6.0, 20.0]), "log")
+    near_mps = speed.near(np.array([-1.0, 0.5, 5.0, 12.0, 20.0]))
+    assert near_mps.tolist() == [5.0, 5.5, 6.0, 20.0, 20.0]

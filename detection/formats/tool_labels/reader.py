@@ -122,8 +122,8 @@ def _labels(
     if not labels or not np.isfinite(numbers(set(labels))).all():
         return labels, ()
     names = video.names or names_for_folder(path if path.is_dir() else path.parent)
-    known = names or COCO_CLASSES
-    named = [known[n] if 0 <= (n := int(float(label))) < len(known) else label for label in labels]
+    name_of = dict(enumerate(names or COCO_CLASSES))
+    named = [name_of.get(int(float(label)), label) for label in labels]
     note = (
         f"{path.name}: classes are numbers without names, which are read as COCO's, 0 person to 7 "
         "truck; --names or a classes.txt beside the file gives others."

@@ -93,7 +93,7 @@ QUANTITIES = (
     Quantity("b1", "b1", side_in="block"),  # Agisoft's fx - fy
     *(
         Quantity(name, name, side_in="block")
-        for name in ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "xi", "alpha")
+        for name in ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "p3", "p4", "xi", "alpha")
     ),
 )  # fmt: skip
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in OpenCV's order

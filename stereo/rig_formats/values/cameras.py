@@ -236,25 +236,25 @@ def distortion_of(draft: RigDraft, side: Side) -> FloatArray | None:
     values = {name: float(number[0]) for name, number in numbers.items() if number is not None}
     if not values:
         return None
-    if has_fisheye_names(draft, side) and "k5" in values and "k1" not in values:
+    if is_fisheye_lens(draft, side) and "k5" in values and "k1" not in values:
         values = {f"k{n}": values.get(f"k{n + 1}", 0.0) for n in range(1, 5)}  # camodocal's
     if draft.dialect.is_tangential_swapped:
         values |= {"p1": values.get("p2", 0.0), "p2": values.get("p1", 0.0)}
-    if draft.dialect.has_radial_k4 and not has_fisheye_names(draft, side):
+    if draft.dialect.has_radial_k4 and not is_fisheye_lens(draft, side):
         values.pop("k4", None)
     return np.array([values.get(name, 0.0) for name in _names_in_order(draft, side, values)])
 
 
 def _names_in_order(draft: RigDraft, side: Side, values: dict[str, float]) -> tuple[str, ...]:
     """Names of the coefficients of the lens model that has these values."""
-    if has_fisheye_names(draft, side):
+    if is_fisheye_lens(draft, side):
         return ("k1", "k2", "k3", "k4")
     if any(values.get(name) for name in ("k4", "k5", "k6")):
         return COEFFICIENTS
     return COEFFICIENTS[:5] if "k3" in values else COEFFICIENTS[:4]
 
 
-def has_fisheye_names(draft: RigDraft, side: Side) -> bool:
+def is_fisheye_lens(draft: RigDraft, side: Side) -> bool:
     """Whether the lens is OpenCV's fisheye model, as stated, or by the names of its coefficients."""
     stated = stated_lens(draft.stated_models(side), draft.path)
     if stated is not None:
@@ -270,7 +270,7 @@ def lens_of(draft: RigDraft, side: Side) -> StatedLens:
     stated = stated_lens(draft.stated_models(side), draft.path)
     if stated is not None:
         return StatedLens(stated[0], model=stated[1])
-    if has_fisheye_names(draft, side):
+    if is_fisheye_lens(draft, side):
         note = (
             f"{draft.path}: k1, k2, k3 and k4 without p1 are read as OpenCV's fisheye model; if this "
             "is wrong, add fisheye_model: 0."
@@ -300,28 +300,44 @@ def lens_of(draft: RigDraft, side: Side) -> StatedLens:
 
 def camera_notes(draft: RigDraft, side: Side) -> tuple[str, ...]:
     """Notes on what the file does not state about a camera, and what a camera here does not have."""
-    matrix, skew = draft.get(side, "K"), draft.of(side, "skew")
-    k4, p1, p2 = (draft.of(side, name) for name in ("k4", "p1", "p2"))
-    is_fisheye = has_fisheye_names(draft, side)
-    is_k4_left_out = draft.dialect.has_radial_k4 and not is_fisheye and k4 is not None
-    sentences = {
-        f"assumed: {draft.dialect.assumption}.": bool(draft.dialect.assumption),
-        f"{_key(draft, side, 'K')}, of the images as recorded, is used; for undistorted images write "
-        "a rig.yaml with the other matrix and without distortion.": matrix is not None
-        and "original" in matrix.key.lower(),
-        f"the skew of {_text(skew)} px is left out.": skew is not None
-        and abs(skew[0]) > _MIN_SKEW_PX,
-        f"k4, {_text(k4)}, is the coefficient of r^8 here, which OpenCV's model does not have, and "
-        "is left out; only the corners of the images need it.": is_k4_left_out and bool(k4[0]),
-        "p1 and p2 are left out, which OpenCV's fisheye model does not have.": is_fisheye
-        and any(value is not None and value[0] for value in (p1, p2)),
-    }
-    true = (f"{draft.path}: {sentence}" for sentence, is_true in sentences.items() if is_true)
-    return (*lens_of(draft, side).notes, *true)
+    sentences = []
+    if draft.dialect.assumption:
+        sentences.append(f"assumed: {draft.dialect.assumption}.")
+    matrix = draft.get(side, "K")
+    if matrix is not None and "original" in matrix.key.lower():
+        sentences.append(
+            f"{matrix.key}, of the images as recorded, is used; for undistorted images write a "
+            "rig.yaml with the other matrix and without distortion."
+        )
+    skew_px = _scalar(draft, side, "skew")
+    if abs(skew_px) > _MIN_SKEW_PX:
+        sentences.append(f"the skew of {skew_px:.4g} px is left out.")
+    if is_fisheye_lens(draft, side):
+        if _scalar(draft, side, "p1") or _scalar(draft, side, "p2"):
+            sentences.append("p1 and p2 are left out, which OpenCV's fisheye model does not have.")
+    elif draft.dialect.has_radial_k4:
+        k4 = _scalar(draft, side, "k4")
+        if k4:
+            sentences.append(
+                f"k4, {k4:.4g}, is the coefficient of r^8 here, which OpenCV's model does not "
+                "have, and is left out; only the corners of the images need it."
+            )
+    if _scalar(draft, side, "p3") or _scalar(draft, side, "p4"):
+        sentences.append("p3 and p4 are left out, which OpenCV's models do not have.")
+    lens = lens_of(draft, side)
+    if lens.model is None:
+        sentences += [
+            f"{key} is {code}, a number whose lens model is not known; {lens.name} is assumed."
+            for key, code in draft.codes
+            if side not in draft.names or draft.names[side] in key.split(".")
+        ]
+    return (*lens.notes, *(f"{draft.path}: {sentence}" for sentence in sentences))
 
 
-def _text(numbers: FloatArray | None) -> str:
-    return "" if numbers is None else f"{numbers[0]:.4g}"
+def _scalar(draft: RigDraft, side: Side, name: str) -> float:
+    """A number by name; 0 without it."""
+    stated = draft.of(side, name)
+    return 0.0 if stated is None else float(stated[0])
 
 
 def stated_size(draft: RigDraft, side: Side, centre: FloatArray) -> FloatArray | None:

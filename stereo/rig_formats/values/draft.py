@@ -31,7 +31,11 @@ from track_range.stereo.rig_formats.values.containers import (
     plain_values,
 )
 from track_range.stereo.rig_formats.values.dialect import PLAIN, Dialect
-from track_range.stereo.rig_formats.values.lens_models import is_fisheye, states_model
+from track_range.stereo.rig_formats.values.lens_models import (
+    is_fisheye,
+    is_model_key,
+    states_model,
+)
 from track_range.stereo.rig_formats.values.stated import (
     Place,
     Stated,
@@ -99,6 +103,7 @@ class RigDraft:
     names: Mapping[Side, str] = field(default_factory=dict)  # of the cameras' blocks, by side
     unread: tuple[str, ...] = ()  # keys of a distortion whose values are none of `Quantity`
     is_undistorted: bool = False  # whether the file states that its cameras are of such images
+    codes: tuple[tuple[str, int], ...] = ()  # keys of lens models whose values are numbers
 
     def get(self, side: Side, quantity: str, *, is_own: bool = False) -> Stated | None:
         """The value of a side, else that of both sides unless `is_own`; None if there is none."""
@@ -178,6 +183,7 @@ class RigDraft:
             models={**other.models, **self.models},
             names={**other.names, **self.names},
             unread=(*self.unread, *other.unread),
+            codes=(*self.codes, *other.codes),
         )
 
     def of_one_side(self, side: str) -> RigDraft:
@@ -227,9 +233,10 @@ def draft_of(content: Mapping[str, Any], path: Path, dialect: Dialect = PLAIN) -
         tuple(dict.fromkeys(_top_keys(content))),
         dialect=dialect,
         models=of_dialect.models() | leaves.models(),
-        names=leaves.names,
+        names=leaves.names(),
         unread=leaves.unread(),
         is_undistorted=leaves.is_undistorted,
+        codes=leaves.codes(),
     )
 
 
@@ -269,18 +276,28 @@ class _Leaves:
             and not (_OF_IMAGES & {*leaf.keys} and leaf.quantity in ("R", "T", "transform"))
         ]
         self._depth, self._sides = _camera_blocks(self._leaves)
-        self.names = {side: name for name, side in self._sides.items()}
+
+    def _is_in_block(self, leaf: _Leaf) -> bool:
+        """Whether a value is in the block of one of several cameras."""
+        return len(leaf.keys) > self._depth + 1 and leaf.keys[self._depth] in self._sides
 
     def _side(self, leaf: _Leaf, stated: Side) -> Side:
         """The camera of a value that states this side: that of its block, if several have cameras."""
-        is_in_block = len(leaf.keys) > self._depth + 1
-        if not is_in_block or leaf.keys[self._depth] not in self._sides:
+        if not self._is_in_block(leaf):
             return stated
         of_block = self._sides[leaf.keys[self._depth]]
         if stated in (None, side_around(leaf.keys), of_block):
             return of_block
-        self.names.setdefault(side := f"{of_block} {stated}", side)
-        return side
+        return f"{of_block} {stated}"
+
+    def names(self) -> dict[Side, str]:
+        """The names of the cameras, by side: of their blocks, and of two sides in one block."""
+        names = {side: name for name, side in self._sides.items()}
+        for leaf in self._leaves:
+            if leaf.meaning is not None and self._is_in_block(leaf):
+                side = self._side(leaf, leaf.meaning.side)
+                names.setdefault(side, str(side))
+        return names
 
     def values(self) -> dict[Place, Stated]:
         """The values whose keys name a quantity; of several, the `counting` one."""
@@ -319,6 +336,14 @@ class _Leaves:
             if _OF_DISTORTION.search(leaf.key.lower())
             and not isinstance(leaf.value, str | bool)
             and leaf.value not in (None, [])
+        )
+
+    def codes(self) -> tuple[tuple[str, int], ...]:
+        """Keys of lens models whose values are numbers, such as librealsense's, and the numbers."""
+        return tuple(
+            (leaf.key, leaf.value)
+            for leaf in self._leaves
+            if type(leaf.value) is int and is_model_key(leaf.keys[-1])
         )
 
 
@@ -391,12 +416,14 @@ def _camera_blocks(leaves: Sequence[_Leaf]) -> tuple[int, dict[str, Side]]:
         return 0, {}
     sides: dict[str, Side] = {}
     for name in names:
+        side = side_of_name(name)
         words = _WORD_OF_SIDE.findall(name.lower().replace("_", " "))
-        sides[name] = side_of_name(name) if side_of_name(name) is not None else "".join(words)
+        if side is None and len(words) == 1:
+            side = words[0]
+        sides[name] = name if side is None else side
     counts = Counter(sides.values())
-    sides = {
-        name: side if side != "" and counts[side] == 1 else name for name, side in sides.items()
-    }
+    # names that state one side twice are the sides themselves
+    sides = {name: side if counts[side] == 1 else name for name, side in sides.items()}
     return depth, sides
 
 

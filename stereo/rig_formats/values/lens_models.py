@@ -47,6 +47,9 @@ _SEPARATORS = re.compile(r"[^a-z0-9]")
 _PREFIX = re.compile(r"^(?:lensmodel|distortion)(?=.)")  # of mrcal and of librealsense's Python
 # what a text is about, by its key: these state nothing but a model, so that an unknown name is one that is missing
 _OF_MODELS = re.compile(r"projection_?(?:type|model)|digital_?lens|\bprojection$")
+_MODEL_KEYS = frozenset(
+    "model distortionmodel distortiontype lensmodel lenstype cameramodel cameratype".split()
+)
 # these may state something else, such as the name of a camera
 _PERHAPS_OF_MODELS = re.compile(r"model|type|projection|lens|distortion|polymorphic")
 
@@ -76,6 +79,11 @@ def _models() -> list[KalibrModel]:
 def is_fisheye(text: str) -> bool:
     """Whether a name is one of OpenCV's fisheye model, as of a block of values."""
     return kalibr_names(text) == ("", "equidistant")
+
+
+def is_model_key(name: str) -> bool:
+    """Whether a value of this name states nothing but a lens model, or its number."""
+    return _SEPARATORS.sub("", name.lower()) in _MODEL_KEYS
 
 
 def states_model(key: str, value: object) -> bool:

@@ -68,9 +68,8 @@ def _colmap(text: str) -> dict[str, Any]:
     """Cameras by their numbers: CAMERA_ID MODEL WIDTH HEIGHT PARAMS."""
     cameras = {}
     for number, model, width, height, params in COLMAP.findall(text):
-        names = _COLMAP_NAMES.get(
-            model, "f cx cy"
-        ).split()  # an unknown model is refused by its name
+        # an unknown model is refused by its name
+        names = _COLMAP_NAMES.get(model, "f cx cy").split()
         values = dict(zip(names, _numbers(params), strict=False))
         cameras[number] = {"projection_model": model, "size": [int(width), int(height)], **values}
     return cameras

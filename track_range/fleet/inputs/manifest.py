@@ -77,9 +77,10 @@ class _Manifest:
             self._columns, self._cells = _parquet_columns(path)
             self._unit = "row"
             self._numbers = range(1, len(self._cells[0]) + 1)
-        current = RunSettings.with_current_names({name: name for name in self._columns})
-        names = {column: name for name, column in current.items()}
-        self._columns = tuple(names.get(column, column) for column in self._columns)
+        # earlier names of options, such as folder_fps, become the current ones
+        column_of = RunSettings.with_current_names({name: name for name in self._columns})
+        name_of = {column: name for name, column in column_of.items()}
+        self._columns = tuple(name_of.get(column, column) for column in self._columns)
         if not self._numbers:
             raise FleetInputError(f"{path}: expected a {self._unit} for each clip, found none.")
         self._names: dict[str, int] = {}

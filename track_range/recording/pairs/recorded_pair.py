@@ -35,6 +35,9 @@ every frame would find a partner.
 
 # latest start of one of two streams that have one clock, as a fraction of the shorter one
 _MAX_LATER = 0.5
+# smallest offset from images that is used: smaller ones are a matter of `SyncMonitor`, which
+# measures them also between frames
+_MIN_OFFSET_INTERVALS = 1.5
 # relative difference up to which nominal rates count as equal, such as 29.97 and 30
 _RATE_DIFFERENCE = 0.01
 
@@ -87,11 +90,6 @@ class _Side:
         else:
             self.n_between += self.n_after
         self.n_after = 0
-
-
-# smallest offset from images that is used: smaller ones are a matter of `SyncMonitor`, which
-# measures them also between frames
-_MIN_OFFSET_INTERVALS = 1.5
 
 
 def _suggested_offset_s(left: RecordedVideo, right: RecordedVideo) -> float:

@@ -87,8 +87,10 @@ def class_names(option: str | None) -> tuple[str, ...] | None:
     ConfigError for unreadable or empty files, and for one word that is neither a list nor a road
     class.
     """
-    if option is None or option.lower() in CLASS_LISTS:
-        return None if option is None else CLASS_LISTS[option.lower()]
+    if option is None:
+        return None
+    if option.lower() in CLASS_LISTS:
+        return CLASS_LISTS[option.lower()]
     path = Path(option)
     if "," in option or not path.suffix:
         source, names = shortened(option), tuple(name.strip() for name in option.split(","))

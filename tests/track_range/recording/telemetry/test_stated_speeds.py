@@ -369,6 +369,15 @@ def test_order_of_dji_positions(tmp_path: Path, form: str, has_note: bool) -> No
     assert any("does not state the order" in note for note in track.notes) == has_note
 
 
+def test_dji_order_by_speeds_where_the_other_one_does_not_move(tmp_path: Path) -> None:
+    """Of two orders, one has no speeds to compare with; the other one agrees with the stated ones."""
+    step_deg = np.degrees(15 / 6_371_008.8)
+    texts = [f"GPS(89.9, {6.2 + step_deg * t:.7f}, 20), H.S 15.00m/s" for t in T]
+    track = read(tmp_path, srt(*texts), "a.srt")
+    assert np.nanmedian(track.latitude_deg) == pytest.approx(6.2, abs=0.1)
+    assert not any("does not state the order" in note for note in track.notes)
+
+
 def virb() -> bytes:
     """A FIT file with messages gps_metadata (160) at 10 Hz, whose timestamps count since the start
     of the camera (FIT protocol 2.0)."""

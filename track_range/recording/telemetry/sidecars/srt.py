@@ -148,11 +148,10 @@ def _chosen(
         column for column, is_shown in zip(columns, shown, strict=True) if is_shown
     ] or columns
     first = columns[0]
+    largest_mps = _SAME * np.nanmedian(np.abs(first)) + _SAME_MPS
     for other in columns[1:]:
-        if (
-            not np.nanmedian(np.abs(other - first))
-            <= _SAME * np.nanmedian(np.abs(first)) + _SAME_MPS
-        ):
+        is_same = np.nanmedian(np.abs(other - first)) <= largest_mps
+        if not is_same:
             both_kmh = [3.6 * float(np.nanmedian(values)) for values in (first, other)]
             raise TelemetryError(
                 f"{path}: expected one speed of the car in each subtitle, found {both_kmh[0]:.0f} "
@@ -180,12 +179,14 @@ def _dji_positions(
         return orders[0], ()
     blank = np.full(len(time_s), np.nan)
     tracks = [speed_from_positions(time_s, lat, lon, blank) for lat, lon in (o.T for o in orders)]
-    errors = [abs(speed_ratio(one, time_s, speed_mps, _MIN_MOVING).median - 1) for one in tracks]
+    ratios = [speed_ratio(one, time_s, speed_mps, _MIN_MOVING).median for one in tracks]
+    errors = [math.inf if math.isnan(ratio) else abs(ratio - 1) for ratio in ratios]
     if min(errors) <= _SAME:
-        return orders[int(np.argmin(errors))], ()
-    is_marked = any(match and match[3] for match in matches)
+        return orders[errors.index(min(errors))], ()
+    if any(match and match[3] for match in matches):
+        return latitude_first, ()
     note = "GPS(...) is read as longitude, latitude; the file does not state the order."
-    return orders[is_marked], () if is_marked or tracks[0] is None else (note,)
+    return orders[0], () if tracks[0] is None else (note,)
 
 
 def _cues(text: str) -> Iterable[tuple[float, str]]:
