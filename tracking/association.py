@@ -123,7 +123,7 @@ def distance_cost(
     """
     box = cxcywh(detected_xyxy_px)
     y = box[None, :, :2] - filters.x[:, None, :2]
-    S = filters.variance_px2 + (noise.measured * filters.height_px) ** 2
+    S = filters.P[0] + (noise.measured * filters.height_px) ** 2
     log_height = np.log(box[None, :, 3] / np.maximum(filters.x[:, None, 3], 1.0))
     size_variance = 2 * noise.measured**2 + (_GROWTH * step_s) ** 2
     return np.asarray((y**2).sum(axis=2) / S[:, None] + log_height**2 / size_variance)

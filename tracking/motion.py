@@ -109,11 +109,6 @@ class BoxFilters:
         return np.asarray(self.state[1])
 
     @property
-    def variance_px2(self) -> FloatArray:
-        """(N,) P_xx, variance of a coordinate."""
-        return np.asarray(self.P[0])
-
-    @property
     def xyxy_px(self) -> FloatArray:
         """(N, 4) boxes at the time of the state; no side is shorter than a pixel."""
         return np.asarray(np.maximum(self.x, _SMALLEST_CXCYWH).dot(_XYXY_OF_CXCYWH))
@@ -121,7 +116,7 @@ class BoxFilters:
     @property
     def position_sigma(self) -> FloatArray:
         """(N,) standard deviation of a coordinate, in heights of the last detected box."""
-        return np.asarray(np.sqrt(self.variance_px2) / self.height_px)
+        return np.asarray(np.sqrt(self.P[0]) / self.height_px)
 
     def select(self, rows: BoolArray | IntArray) -> BoxFilters:
         """The rows that a mask or an index array selects, in its order."""
@@ -181,7 +176,7 @@ def update(
     """
     f, z = filters, cxcywh(xyxy_px)
     y = z - f.x
-    S = f.variance_px2 + (noise.measured * f.height_px) ** 2
+    S = f.P[0] + (noise.measured * f.height_px) ** 2
     K = f.P[:2] / S
     change = K[:, :, None] * y
     change[1, is_person, 2:] *= noise.person_size_rate
@@ -202,7 +197,7 @@ def smoothed(x: FloatArray, xyxy_px: FloatArray) -> FloatArray:
 def gating_distance(filters: BoxFilters, xyxy_px: FloatArray, noise: MotionNoise) -> FloatArray:
     """(N, M) squared Mahalanobis distances d^2 of boxes (M, 4) from each prediction."""
     y = cxcywh(xyxy_px)[None, :, :] - filters.x[:, None, :]
-    S = filters.variance_px2 + (noise.measured * filters.height_px) ** 2
+    S = filters.P[0] + (noise.measured * filters.height_px) ** 2
     return np.asarray((y**2).sum(axis=2) / S[:, None])
 
 

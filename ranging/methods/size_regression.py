@@ -23,7 +23,6 @@ from track_range.ranging.size_models.drive_scale import NO_EVIDENCE, DriveScale,
 from track_range.ranging.size_models.size_model import (
     BORDER_PX,
     BoxNoise,
-    ClassDoubt,
     DriveState,
     SizeModel,
     box_error_table,
@@ -168,10 +167,8 @@ class SizeRanger(Ranger):
             noise=self._noise,
             errors=self._errors,
             uses_width_bottom=(uses_width[rows], np.ones(len(rows), np.bool_)),
+            doubt=(tracks.other_class_id[rows], tracks.other_probability[rows]),
         )
-        probability = tracks.other_probability[rows]
-        if probability.any():
-            boxes = replace(boxes, doubt=ClassDoubt(tracks.other_class_id[rows], probability))
         self._drive.start_frame(tracks.track_id[rows], frame.time_s)
         measured = self._curves.measure(boxes, self._drive)
         incomplete_m = measured.distance_m * incomplete_sigma(tracks.xyxy_px, is_cut)[rows]

@@ -202,7 +202,7 @@ class CuboidSizes:
 
     def _bodies_of(self, boxes: BoxExtents) -> tuple[IntArray, FloatArray]:
         """(N, M) body types that each box may show, and their log probabilities."""
-        if boxes.doubt is not None:
+        if boxes.doubt is not None and boxes.doubt[1].any():
             other, probability = boxes.doubt
             q = np.where(self._has_prior[other], probability, 0.0)[:, None]
             fraction = (1.0 - q) * self._fraction[boxes.size_class] + q * self._fraction[other]

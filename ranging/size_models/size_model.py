@@ -227,13 +227,6 @@ def detector_noise(width_px: int) -> BoxNoise:
     return BoxNoise(px=0.36 * scale, systematic_px=0.77 * scale)
 
 
-class ClassDoubt(NamedTuple):
-    """Classes that N boxes may have instead of their own."""
-
-    size_class: IntArray  # (N,) index into `SIZE_CLASSES`
-    probability: FloatArray  # (N,) of this class; 0 = no doubt
-
-
 @dataclass(frozen=True, slots=True)
 class BoxExtents:
     """N boxes of one frame, with image coordinates divided by the focal length."""
@@ -247,7 +240,8 @@ class BoxExtents:
     edge_sigma: FloatArray  # (N, 2) standard deviation of one edge, in x and in y
     # (N, 2) of log width and log height, the same in all frames of an object
     systematic_sigma: FloatArray
-    doubt: ClassDoubt | None = None  # None = no box may be of another class
+    # (N,) classes that the boxes may have instead, and their probabilities; None = no doubt
+    doubt: tuple[IntArray, FloatArray] | None = None
 
     def __len__(self) -> int:
         return len(self.bearing)
@@ -256,8 +250,8 @@ class BoxExtents:
         """The boxes selected by a mask or an index array."""
         *arrays, doubt = (getattr(self, field.name) for field in fields(self))
         if doubt is not None:
-            doubt = ClassDoubt(*(column[rows] for column in doubt))
-        return BoxExtents(*(array[rows] for array in arrays), doubt)
+            doubt = doubt[0][rows], doubt[1][rows]
+        return BoxExtents(*[*(array[rows] for array in arrays), doubt])
 
     @property
     def noise_variance(self) -> FloatArray:
@@ -289,13 +283,14 @@ def measured_boxes(
     noise: BoxNoise,
     errors: FloatArray = _NO_ERRORS,
     uses_width_bottom: tuple[BoolArray, BoolArray] | None = None,
+    doubt: tuple[IntArray, FloatArray] | None = None,
 ) -> BoxExtents:
     """Boxes (N, 4) of positive size, in px of `camera` (undistorted), in camera-independent units.
 
     `errors` is a `box_error_table`. Its means are corrected about the centre of the box, since both
     edges of the measured detectors are wrong: the contact point moves by half of the error of the
     height. `uses_width_bottom` are `BoxExtents.uses_width` and `uses_bottom`, (N,) each; None =
-    True for all boxes.
+    True for all boxes. `doubt` is `BoxExtents.doubt`.
     """
     focal_px = np.array([camera.fx_px, camera.fy_px])
     error = errors[size_class]
@@ -318,6 +313,7 @@ def measured_boxes(
         uses_bottom=uses_bottom,
         edge_sigma=noise.sigma_px(size_px, size_class) / focal_px,
         systematic_sigma=np.hypot(error[:, 1], noise.systematic_px / size_px),
+        doubt=doubt,
     )
 
 

@@ -1,12 +1,13 @@
 """found_offset: by how much the clocks of the videos of a pair differ, from their images.
 
-Points of a left image and of the right image of its moment lie in equal rows. A right image of another
-moment shows most of them elsewhere, or not at all, if anything but the sky has moved meanwhile:
+Points of a left image and of the right image of its moment lie in equal rows. A right image of
+another moment shows most of them elsewhere, or not at all, if anything but the sky has moved
+meanwhile:
 
     left image i  ->  agreement with each right image  ->  clear peak at right image j: offset = t_left i - t_right j
 
-The offset counts where the peaks of several left images agree. Where the camera stands, no right image agrees
-better than others, and nothing is known.
+The offset counts where the peaks of several left images agree. Where the camera stands, no right
+image agrees better than others, and nothing is known.
 """
 
 import math
@@ -94,9 +95,9 @@ def found_offset(left: TimedImages, right: TimedImages) -> ClockOffset:
             other_points=mean(peak.other_points for peak in agreeing),
         )
     best = median(peak.points for peak in peaks)
-    shared = median(peak.shared_points for peak in peaks)
-    is_apart = not clear and shared >= 2 * _MIN_POINTS and best < _MAX_CHANCE * shared
-    return ClockOffset("apart" if is_apart else "unknown", points=best, other_points=shared)
+    successive = median(peak.shared_points for peak in peaks)
+    is_apart = not clear and successive >= 2 * _MIN_POINTS and best < _MAX_CHANCE * successive
+    return ClockOffset("apart" if is_apart else "unknown", points=best, other_points=successive)
 
 
 def _peak(left_s: float, right_s: FloatArray, points: Callable[[int], int], shared: int) -> _Peak:

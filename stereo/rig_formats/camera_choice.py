@@ -1,5 +1,5 @@
-"""The cameras that images are of, among those of a calibration file: by their names, by the size of the images, or
-the left one of the only pair.
+"""The cameras that images are of, among those of a calibration file: by their names, by the size of
+the images, or the left one of the only pair.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,8 +31,9 @@ def chosen(
 ) -> RigCalibration:
     """The calibration of one camera or of a pair; `is_pair` None = a pair if the file has one.
 
-    `names` are those of the camera, or of the left and the right one; empty = by `size_px`, the (width,
-    height) of the images. RigError if the file has no such cameras, or several that may be meant.
+    `names` are those of the camera, or of the left and the right one; empty = by `size_px`, the
+    (width, height) of the images. RigError if the file has no such cameras, or several that may be
+    meant.
     """
     cameras: dict[str, list[NamedCamera]] = {}
     for known in calibration.known_cameras:
@@ -40,22 +41,21 @@ def chosen(
     has_poses = any(known.pose is not None for known in calibration.known_cameras)
     is_unrelated = len(cameras) == 1 or not has_poses
     # the caller reports that the pair is missing
-    lacks_pair = is_pair is True and is_unrelated
-    if not names and is_pair is not False and (calibration.right or lacks_pair):
+    if not names and is_pair is not False and (calibration.right or (is_pair and is_unrelated)):
         return calibration
-    wanted = list(names)
-    if not wanted and is_pair:
-        wanted = _usual_pair(_of_size(cameras, size_px))
-    elif not wanted:
-        wanted = _usual_one(calibration, cameras, _of_size(cameras, size_px))
+    fitting = _of_size(cameras, size_px)
+    usual = _usual_pair(fitting) if is_pair else _usual_one(calibration, cameras, fitting)
+    wanted = list(names) or usual
     _check_names(wanted, cameras, path, names, is_pair=is_pair)
     if len(wanted) == 2:
         return _pair(calibration, [cameras[name][0] for name in wanted], path, is_given=bool(names))
     focal_px = [known.camera.fx_px for known in calibration.known_cameras]
     notes: tuple[str, ...] = ()
     if not names and max(focal_px) > min(focal_px) * (1 + _FOCAL_DIFFERENCE):
-        listed = _listed(cameras)
-        notes = (f"{path}: camera {wanted[0]} of {listed} is used (--camera NAME uses another).",)
+        notes = (
+            f"{path}: camera {wanted[0]} of {_listed(cameras)} is used (--camera NAME uses "
+            "another).",
+        )
     return _alone(calibration, wanted[0], notes)
 
 
@@ -75,8 +75,8 @@ def _check_names(
     n_expected = len(wanted) if is_pair is None else 1 + is_pair
     if len(cameras) == 1 and given and given[0] not in cameras:
         raise RigError(
-            f"{path}: expected no --camera for a file of one camera, found {quoted(','.join(given))}; "
-            "omit it."
+            f"{path}: expected no --camera for a file of one camera, found "
+            f"{quoted(','.join(given))}; omit it."
         )
     is_right = len(wanted) == n_expected and 1 <= n_expected <= 2
     if not is_right or any(name not in cameras for name in wanted):
@@ -146,9 +146,9 @@ def _pair(
     left, right = cameras
     if left.pose is None or right.pose is None:
         raise RigError(
-            f"{path}: expected R and T between the cameras {left.name} and {right.name}, found none; "
-            "write them into this file, or into an extrinsics file beside it, or run on one video "
-            "with --mono."
+            f"{path}: expected R and T between the cameras {left.name} and {right.name}, found "
+            "none; write them into this file, or into an extrinsics file beside it, or run on one "
+            "video with --mono."
         )
     motion = np.asarray(right.pose @ inverse_motion(left.pose))
     if not is_given and motion[0, 3] > abs(motion[1, 3]):

@@ -66,8 +66,8 @@ class CameraInfo:
         if size_px != binned_px:
             raise RigError(
                 f"{source}: expected images of {binned_px[0]}x{binned_px[1]} px, as the region of "
-                f"interest and the binning state, or of {self.size_px[0]}x{self.size_px[1]} px, the "
-                f"whole sensor, found {size_px[0]}x{size_px[1]}; give --rig or --focal-px."
+                f"interest and the binning state, or of {self.size_px[0]}x{self.size_px[1]} px, "
+                f"the whole sensor, found {size_px[0]}x{size_px[1]}; give --rig or --focal-px."
             )
         # pixel edges map to edges
         scale_x, scale_y = 1 / x_bin, 1 / y_bin

@@ -31,8 +31,8 @@ from track_range.stereo.rig_formats.values.tables import (
     VIRTUAL_KITTI,
 )
 
-# github.com/ethz-asl/kalibr, wiki: supported models, YAML formats; the intrinsics of a wide lens stand
-# before fu. Files for other programs, such as OpenVINS's, have T_cam_imu instead of T_cn_cnm1.
+# github.com/ethz-asl/kalibr, wiki: supported models, YAML formats; the intrinsics of a wide lens
+# stand before fu. Files for other programs, such as OpenVINS's, have T_cam_imu instead of T_cn_cnm1.
 KALIBR = Dialect(
     name="kalibr",
     title="Kalibr's camchain.yaml",

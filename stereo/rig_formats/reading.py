@@ -144,8 +144,8 @@ def load_calibration(
     metres_per_unit: float | None = None,
     cameras: Sequence[str] = (),
 ) -> tuple[PinholeCamera | StereoRig, tuple[str, ...]]:
-    """The rig of a file, or its only camera, or those with the names in `cameras`, and notes for the
-    user; see `load_rig` and `load_camera`.
+    """The rig of a file, or its only camera, or those with the names in `cameras`, and notes for
+    the user; see `load_rig` and `load_camera`.
 
     `metres_per_unit` is the unit of the lengths in the file, None = by the format, the file or
     their size.
@@ -215,8 +215,8 @@ def read_calibration(
     cameras: Sequence[str] = (),
     size_px: tuple[int, int] | None = None,
 ) -> RigCalibration:
-    """The two cameras of a file, or of the two camera_info of ROS in a folder, or one of them; None =
-    two, if the file is of a pair. See `camera_choice.chosen`.
+    """The two cameras of a file, or of the two camera_info of ROS in a folder, or one of them; None
+    = two, if the file is of a pair. See `camera_choice.chosen`.
     """
     content = content_of(path, is_grey=is_grey, is_pair=is_pair is not False)
     return chosen(content, path, cameras, size_px, is_pair=is_pair)

@@ -1,4 +1,5 @@
-"""Settings of VINS with cam0_calib and cam1_calib, the files of camodocal: PINHOLE, MEI (unified), KANNALA_BRANDT.
+"""Settings of VINS with cam0_calib and cam1_calib, the files of camodocal: PINHOLE, MEI (unified),
+KANNALA_BRANDT.
 
 body_T_cam0        x_body = T x_camera
 

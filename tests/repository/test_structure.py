@@ -71,7 +71,7 @@ MOST_STATEMENTS = {
     # the part of the sensor that images show (14)
     # the offset of the clocks of two videos, from their images (61)
     # cameras in lists, stretched images and regions named, and the pair of a rectifier (25)
-    "stereo": 10_412,
+    "stereo": 10_408,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
@@ -107,7 +107,7 @@ MOST_STATEMENTS = {
     # the sizes of both classes of a track in doubt (6)
     # the states of all filters in one array (9), scales and sums once per evaluation of the cameras
     # (31), and fusion, warnings and the world by columns (70)
-    "ranging": 7_572,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 7_571,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     "api": 107,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);

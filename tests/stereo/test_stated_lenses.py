@@ -185,10 +185,7 @@ def test_every_lens_has_a_name() -> None:
 
 
 @pytest.mark.parametrize("key", ["model", "lens_type", "distortion_model"])
-def test_a_number_for_a_lens_model_is_named(tmp_path: Path, key: str) -> None:
-    path = tmp_path / "camera.json"
-    content = {"K": [700, 0, 320, 0, 700, 180, 0, 0, 1], "width": 640, "height": 360}
-    path.write_text(json.dumps({**content, "D": [0.1, -0.2, 0, 0, 0], key: 5}))
-    camera, notes = load_camera(path, size_px=(640, 360))
-    assert camera.lens == "pinhole"
-    assert f"{key} is 5, a number whose lens model is not known" in " ".join(notes)
+def test_a_number_for_a_lens_model_is_refused(tmp_path: Path, key: str) -> None:
+    path = written(tmp_path, {"K": K, "width": 1280, "height": 720, "D": [*FOUR, 0.0], key: 5})
+    with pytest.raises(RigError, match=f"'5' in {key}; write the name of one"):
+        load_camera(path, size_px=SIZE)

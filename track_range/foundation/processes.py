@@ -94,8 +94,8 @@ def tuned_process(*, has_dense_stereo: bool = False) -> Iterator[None]:
 
     Threads wait at most 0.5 ms for the GIL. Garbage collections are rarer, and leave out the
     objects that exist before, since searching them takes 60 ms; if the program has frozen objects
-    itself, they are not changed. On two cores or fewer, OpenCV uses one thread, since further threads would interrupt
-    inference. The end of the context restores the settings.
+    itself, they are not changed. On two cores or fewer, OpenCV uses one thread, since further
+    threads would interrupt inference. The end of the context restores the settings.
 
     Example:
         >>> import track_range as tr

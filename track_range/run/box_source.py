@@ -80,8 +80,9 @@ def open_box_source(
     """
     class_id = tuple(int(i) for i in road_class_ids(settings.classes))
     if settings.detections is not None:
-        names = class_names(settings.names) or ()
-        return _recorded(settings.detections, class_id, recording, names)
+        return _recorded(
+            settings.detections, class_id, recording, class_names(settings.names) or ()
+        )
     return network_source(settings, ready_model, opened)
 
 
@@ -262,8 +263,9 @@ def _recorded(
     # MOTChallenge files have no classes: a single one in --classes applies, else person, as in
     # MOTChallenge
     default_class_id = class_id[0] if len(class_id) == 1 else 0
-    size_px = recording.calibration.sizes_px[0]
-    video = VideoFacts(n_frames=recording.n_total, size_px=size_px, names=names)
+    video = VideoFacts(
+        n_frames=recording.n_total, size_px=recording.calibration.sizes_px[0], names=names
+    )
     recorded = read_detections(path, default_class_id=default_class_id, video=video)
     if not recorded.is_rectified:
         recorded = _rectified(recorded, recording)

@@ -42,6 +42,8 @@ def kind_of_json(document: Any) -> str:
         # names with a space are one key
         if names in keys or set(names.split()) <= keys:
             return f"{kind}; {advice}"
-    if isinstance(document, list):
-        return "a list, such as detection results; add the boxes to a data set"
-    return ""
+    return (
+        "a list, such as detection results; add the boxes to a data set"
+        if isinstance(document, list)
+        else ""
+    )

@@ -122,8 +122,8 @@ def mot_rows(
         if layout.is_guessed:
             notes.append(
                 f"{rows.path.name}: nothing names its class numbers, so it is read as "
-                f"{layout.title}; --names gives others: {', '.join(classes.CLASS_LISTS)}, a,b,c or a "
-                "file."
+                f"{layout.title}; --names gives others: {', '.join(classes.CLASS_LISTS)}, a,b,c or "
+                "a file."
             )
     return MotRows(
         frame - first,

@@ -101,8 +101,8 @@ def _has_classes_first(values: FloatArray) -> bool:
 
 
 def _has_scores_last(values: FloatArray) -> bool:
-    """Whether the last of 9 columns are scores, as in BoxMOT's evaluation: those of detectors differ
-    and are neither 0 nor 1, as the visible fractions of MOTChallenge are for most objects.
+    """Whether the last of 9 columns are scores, as in BoxMOT's evaluation: those of detectors
+    differ and are neither 0 nor 1, as the visible fractions of MOTChallenge are for most objects.
     """
     last = values[:, 8]
     is_score = (last > 0) & (last < 1)
@@ -111,8 +111,8 @@ def _has_scores_last(values: FloatArray) -> bool:
 
 
 def _has_indices_last(values: FloatArray) -> bool:
-    """Whether fractions, a class from 1, and the number of a detection end the 9 columns, as in rows
-    of BoxMOT since version 13: visible fractions are at most 1.
+    """Whether fractions, a class from 1, and the number of a detection end the 9 columns, as in
+    rows of BoxMOT since version 13: visible fractions are at most 1.
     """
     score, classes, last = values[:, 6], values[:, 7], values[:, 8]
     return (
@@ -124,8 +124,8 @@ def _has_indices_last(values: FloatArray) -> bool:
 
 
 def _has_classes_for_scores(values: FloatArray) -> bool:
-    """Whether the last of 7 columns are classes, one of person to motorcycle among them: whole scores
-    are per cent, which are not so low.
+    """Whether the last of 7 columns are classes, one of person to motorcycle among them: whole
+    scores are per cent, which are not so low.
     """
     last = values[:, 6]
     return are_integers(last, 0, _LAST_COCO) and last.min() <= 3 and last.max() > 1
@@ -228,8 +228,8 @@ def layout_of(
     (n_columns,) = counts
     if content := _no_pixels_in(rows.values):
         raise rows.error(
-            f"{rows.path}: expected rows frame,id,x,y,w,h,score in pixels, found {content}; convert "
-            "the file."
+            f"{rows.path}: expected rows frame,id,x,y,w,h,score in pixels, found {content}; "
+            "convert the file."
         )
     fitting = [
         layout for layout in LAYOUTS if n_columns in layout.n_columns and layout.fits(rows.values)
@@ -239,9 +239,9 @@ def layout_of(
     lists = list(dict.fromkeys(layout.title for layout in fitting if layout.is_guessed))
     if len(lists) > 1 and not names:
         raise rows.error(
-            f"{rows.path}: expected classes of a known list, found numbers of {' or '.join(lists)}; "
-            "choose with --names visdrone or --names coco, or write the names into classes.txt beside "
-            "the file."
+            f"{rows.path}: expected classes of a known list, found numbers of "
+            f"{' or '.join(lists)}; choose with --names visdrone or --names coco, or write the "
+            "names into classes.txt beside the file."
         )
     if n_columns != _N_SHORT or len(fitting) == 1:
         return fitting[0] if fitting else None

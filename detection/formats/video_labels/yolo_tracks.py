@@ -9,7 +9,8 @@ The last number in a file name is the frame, from 0. Written labels have five co
 training programs expect; frames without boxes have empty files. When reading, the files may also be
 in DIR itself, and rows may have the score and the identity that Ultralytics' `save_txt` appends:
 six columns with a score, or with an identity if no row has seven, and seven with both. Ultralytics
-numbers the frames of a video from 1, without zeros in front (NAME_1.txt). (https://docs.ultralytics.com/datasets/detect)
+numbers the frames of a video from 1, without zeros in front (NAME_1.txt).
+(https://docs.ultralytics.com/datasets/detect)
 """
 
 import os

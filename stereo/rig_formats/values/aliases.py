@@ -22,9 +22,7 @@ class Quantity(NamedTuple):
     aliases: str  # its names in files, in lower case without punctuation
     counts: tuple[int, ...] = (1,)  # possible numbers of values; () = a text
     is_length: bool = False  # whether the name may end with the unit of its values
-    # whether a transform is that from the second camera to the first; a matrix is column by column
-    is_inverse: bool = False
-    is_transposed: bool = False
+    is_inverse: bool = False  # whether a transform is that from the second camera to the first
     order: tuple[int, ...] = ()  # places of the values in OpenCV's order; () = as they are
     # where the side of its camera stands: in the name, else in the block around it; only in the block
     side_in: Literal["name", "block", "nothing"] = "name"
@@ -59,7 +57,7 @@ QUANTITIES = (
     # MRPT's pose of the right camera, in the block LEFT2RIGHT_POSE
     Quantity("T", "translationonly", (3,), is_length=True, is_inverse=True, side_in="nothing"),
     Quantity("R", "rotationmatrixonly", (9,), is_inverse=True, side_in="nothing"),
-    Quantity("R", "rotationofcamera2", (9,), is_transposed=True, side_in="nothing"),
+    Quantity("R", "rotationofcamera2", (9,), order=(0, 3, 6, 1, 4, 7, 2, 5, 8), side_in="nothing"),
     Quantity("rect", "rect rrect recttrans recttransform rectify rectification rectificationmatrix rectrotation"
              " rectifiedrotation", (9,)),
     Quantity("P", "p proj projection projectionmatrix projmat projmats projmatrix prect", (12, 9)),
@@ -114,6 +112,7 @@ _BETWEEN = re.compile(r"(?:from)?(.+?)to(.+)")
 _NAME = "|".join(
     alias for row in QUANTITIES if row.side_in == "name" for alias in row.aliases.split()
 )
+_WORD_OF_SIDE = re.compile(r"(?<![a-z])(left|right)(?![a-z])")
 _SIDE_IN_NAME = r"(?:of)?(?:cam|camera)?(?P<side>left|right|l|r|\d{1,2})(?:cam|camera)?"
 _BEFORE = re.compile(rf"{_SIDE_IN_NAME}(?P<name>{_NAME})")
 _BEHIND = re.compile(rf"(?P<name>{_NAME}){_SIDE_IN_NAME}")
@@ -146,8 +145,12 @@ def side_around(keys: tuple[str, ...]) -> Side:
 
 
 def side_of_name(name: str) -> Side:
-    """The side that the name of a block states; None = none."""
-    return _side_of_block(_plain(name))
+    """The side that the name of a block states, or one word in it; None = none."""
+    side, words = (
+        _side_of_block(_plain(name)),
+        _WORD_OF_SIDE.findall(name.lower().replace("_", " ")),
+    )
+    return words[0] if side is None and len(words) == 1 else side
 
 
 def _plain(key: str) -> str:

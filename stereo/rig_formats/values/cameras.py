@@ -37,8 +37,8 @@ class StatedLens(NamedTuple):
 
 
 def camera_of(draft: RigDraft, side: Side, number: int) -> PinholeCamera:
-    """The camera of a side, the first (1) or second (2); RigError if a part is missing, or cannot be
-    that of a camera.
+    """The camera of a side, the first (1) or second (2); RigError if a part is missing, or cannot
+    be that of a camera.
     """
     lens = lens_of(draft, side)
     matrix = matrix_of(draft, side, number)
@@ -58,8 +58,9 @@ def _coefficients(draft: RigDraft, side: Side, number: int, lens: StatedLens) ->
         return np.array([scalar[0] for scalar in scalars])
     matrix = draft.of(side, "K")
     n_leading = _n_leading(draft, side)
-    has_leading = matrix is not None and matrix.size == 4 + n_leading
-    leading = matrix[:n_leading] if matrix is not None and has_leading else np.zeros(0)
+    leading = np.zeros(0)
+    if matrix is not None and matrix.size == 4 + n_leading:
+        leading = matrix[:n_leading]
     distortion = distortion_of(draft, side)
     if lens.model is not None and lens.is_ideal:
         distortion = np.zeros(len(names) - lens.model.n_intrinsics)
@@ -94,16 +95,16 @@ def _of_wide_lens(draft: RigDraft, side: Side, lens: str, coefficients: FloatArr
         return np.append(coefficients, np.zeros(n_missing))
     if n_missing > 0 or coefficients[len(names) :].any():
         raise RigError(
-            f"{draft.path}: expected {len(names)} coefficients ({' '.join(names)}) of the lens model "
-            f"{lens}, which the file states, in {_key(draft, side, 'D')}, found {coefficients.size}; "
-            "give all of them."
+            f"{draft.path}: expected {len(names)} coefficients ({' '.join(names)}) of the lens "
+            f"model {lens}, which the file states, in {_key(draft, side, 'D')}, found "
+            f"{coefficients.size}; give all of them."
         )
     return coefficients[: len(names)]
 
 
 def _without_distortion(draft: RigDraft, side: Side, number: int) -> RigError:
-    """The error of a camera without coefficients; zeros are advised only where the file has none of any
-    kind.
+    """The error of a camera without coefficients; zeros are advised only where the file has none of
+    any kind.
     """
     expected = (
         f"{draft.path}: expected the distortion coefficients D{number} of the camera "
@@ -220,8 +221,9 @@ def distortion_of(draft: RigDraft, side: Side) -> FloatArray | None:
     if distortion is not None and distortion.size == 3:
         if not draft.dialect.has_radial_only:
             raise RigError(
-                f"{draft.path}: expected 4, 5, 8, 12 or 14 distortion coefficients, found 3, which may "
-                "be k1 k2 k3 or k1 k2 p1; write k1, k2, p1, p2, k3, with zeros for missing ones."
+                f"{draft.path}: expected 4, 5, 8, 12 or 14 distortion coefficients, found 3, which "
+                "may be k1 k2 k3 or k1 k2 p1; write k1, k2, p1, p2, k3, with zeros for missing "
+                "ones."
             )
         return np.array([*distortion[:2], 0.0, 0.0, distortion[2]])
     if distortion is not None:
@@ -272,8 +274,8 @@ def lens_of(draft: RigDraft, side: Side) -> StatedLens:
         return StatedLens(stated[0], model=stated[1])
     if is_fisheye_lens(draft, side):
         note = (
-            f"{draft.path}: k1, k2, k3 and k4 without p1 are read as OpenCV's fisheye model; if this "
-            "is wrong, add fisheye_model: 0."
+            f"{draft.path}: k1, k2, k3 and k4 without p1 are read as OpenCV's fisheye model; if "
+            "this is wrong, add fisheye_model: 0."
         )
         return StatedLens(KANNALA_BRANDT, (note,))
     distortion = draft.of(side, "D")
@@ -300,38 +302,33 @@ def lens_of(draft: RigDraft, side: Side) -> StatedLens:
 
 def camera_notes(draft: RigDraft, side: Side) -> tuple[str, ...]:
     """Notes on what the file does not state about a camera, and what a camera here does not have."""
-    sentences = []
-    if draft.dialect.assumption:
-        sentences.append(f"assumed: {draft.dialect.assumption}.")
     matrix = draft.get(side, "K")
-    if matrix is not None and "original" in matrix.key.lower():
-        sentences.append(
-            f"{matrix.key}, of the images as recorded, is used; for undistorted images write a "
-            "rig.yaml with the other matrix and without distortion."
-        )
-    skew_px = _scalar(draft, side, "skew")
-    if abs(skew_px) > _MIN_SKEW_PX:
-        sentences.append(f"the skew of {skew_px:.4g} px is left out.")
-    if is_fisheye_lens(draft, side):
-        if _scalar(draft, side, "p1") or _scalar(draft, side, "p2"):
-            sentences.append("p1 and p2 are left out, which OpenCV's fisheye model does not have.")
-    elif draft.dialect.has_radial_k4:
-        k4 = _scalar(draft, side, "k4")
-        if k4:
-            sentences.append(
-                f"k4, {k4:.4g}, is the coefficient of r^8 here, which OpenCV's model does not "
-                "have, and is left out; only the corners of the images need it."
-            )
-    if _scalar(draft, side, "p3") or _scalar(draft, side, "p4"):
-        sentences.append("p3 and p4 are left out, which OpenCV's models do not have.")
-    lens = lens_of(draft, side)
-    if lens.model is None:
-        sentences += [
-            f"{key} is {code}, a number whose lens model is not known; {lens.name} is assumed."
-            for key, code in draft.codes
-            if side not in draft.names or draft.names[side] in key.split(".")
-        ]
-    return (*lens.notes, *(f"{draft.path}: {sentence}" for sentence in sentences))
+    matrix_key = "" if matrix is None else matrix.key
+    is_fisheye = is_fisheye_lens(draft, side)
+    skew_px, k4, p1, p2, p3, p4 = (
+        _scalar(draft, side, name) for name in ("skew", "k4", "p1", "p2", "p3", "p4")
+    )
+    sentences = (
+        (draft.dialect.assumption, f"assumed: {draft.dialect.assumption}."),
+        (
+            "original" in matrix_key.lower(),
+            f"{matrix_key}, of the images as recorded, is used; for undistorted images write a "
+            "rig.yaml with the other matrix and without distortion.",
+        ),
+        (abs(skew_px) > _MIN_SKEW_PX, f"the skew of {skew_px:.4g} px is left out."),
+        (
+            k4 and draft.dialect.has_radial_k4 and not is_fisheye,
+            f"k4, {k4:.4g}, is the coefficient of r^8 here, which OpenCV's model does not have, "
+            "and is left out; only the corners of the images need it.",
+        ),
+        (
+            is_fisheye and (p1 or p2),
+            "p1 and p2 are left out, which OpenCV's fisheye model does not have.",
+        ),
+        (p3 or p4, "p3 and p4 are left out, which OpenCV's models do not have."),
+    )
+    notes = (f"{draft.path}: {sentence}" for is_true, sentence in sentences if is_true)
+    return (*lens_of(draft, side).notes, *notes)
 
 
 def _scalar(draft: RigDraft, side: Side, name: str) -> float:

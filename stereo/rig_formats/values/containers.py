@@ -62,7 +62,8 @@ _BINARY = (  # begins of the content, what it is, what to do
     ((b"\x89MCAP", b"#ROSBAG"), "a bag", "give the bag as the recording; its camera_info is read from there"),
     ((b"\x1f\x8b",), "a gzip archive", "unpack it first"),
     ((b"ARROW1", b"PAR1"), "a table of Arrow or Parquet, such as Argoverse 2's intrinsics.feather",
-     "write its rows as JSON with pandas: read_feather(FILE).set_index('sensor_name').to_json(OUT, orient='index')"),
+     "write its rows as JSON with pandas: "
+     "read_feather(FILE).set_index('sensor_name').to_json(OUT, orient='index')"),
     ((b"%PDF",), "a document", "type its numbers into a rig.yaml (track-range rig template FILE)"),
 )  # fmt: skip
 # marks in the text of kinds whose conventions differ between versions, what they are, what to do
@@ -74,7 +75,8 @@ _REFUSED = (
      "save the calibration of one camera as XML (Tools, Camera Calibration, Adjusted)"),
     (re.compile(r"ocam_model\.|MappingCoefficients|poly_parameters"), "the polynomial of OCamCalib (Scaramuzza), which "
      "MATLAB's fisheye cameras have, too",
-     "calibrate with OpenCV's fisheye model, or undistort the video and give the pinhole of its images"),
+     "calibrate with OpenCV's fisheye model, or undistort the video and give the pinhole of its "
+     "images"),
 )  # fmt: skip
 _LARGE = re.compile(r"(data:\s*\[|<data>|\"data\":\s*\[)[^\]<]{4000,}")  # numbers of large matrices
 _YAML_HEAD = re.compile(r"\A\s*%YAML[^\n]*\n|!!opencv-[a-z-]+|^(?:---|\.\.\.)[ \t]*$", re.MULTILINE)
@@ -113,8 +115,8 @@ def calibration_text(path: Path) -> str:
             raise RigError(f"{path}: expected {EXPECTED}, found {noun}; {advice}.")
     if path.name == "cameras.bin":  # without a mark at its start
         raise RigError(
-            f"{path}: expected {EXPECTED} as text, found COLMAP's binary cameras; write cameras.txt: "
-            "colmap model_converter --output_type TXT."
+            f"{path}: expected {EXPECTED} as text, found COLMAP's binary cameras; write "
+            "cameras.txt: colmap model_converter --output_type TXT."
         )
     is_storage = start.lstrip().startswith((b"%YAML", b"<?xml", b"<opencv_storage"))
     text = read_text(
@@ -238,8 +240,8 @@ def _xml_values(text: str, path: Path, expected: str) -> dict[str, Any]:
 
 
 def _xml_value(node: ElementTree.Element, depth: int = 0) -> Any:
-    """The words of an element, a list for data and sizes; or its children by name, with their numbers
-    if a name is repeated.
+    """The words of an element, a list for data and sizes; or its children by name, with their
+    numbers if a name is repeated.
     """
     if len(node) and depth < 4:
         counts = Counter(part.tag for part in node)

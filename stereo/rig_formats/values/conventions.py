@@ -1,6 +1,7 @@
 """Conventions of programs for focal lengths and principal points, translated to pixels.
 
-Each is a function of (4,) fx, fy, cx, cy as in the file and (2,) the width and height of its images.
+Each is a function of (4,) fx, fy, cx, cy as in the file and (2,) the width and height of its
+images.
 """
 
 from collections.abc import Callable
@@ -23,8 +24,8 @@ def of_longer_side(numbers: FloatArray, size: FloatArray) -> FloatArray:
 
 
 def of_each_side(numbers: FloatArray, size: FloatArray) -> FloatArray:
-    """Fractions of width and height, from the corner of the first pixel, if the principal point is below
-    1, else pixels: DSO.
+    """Fractions of width and height, from the corner of the first pixel, if the principal point is
+    below 1, else pixels: DSO.
     """
     if max(numbers[2:]) >= 1:
         return numbers

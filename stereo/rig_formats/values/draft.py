@@ -33,7 +33,6 @@ from track_range.stereo.rig_formats.values.containers import (
 from track_range.stereo.rig_formats.values.dialect import PLAIN, Dialect
 from track_range.stereo.rig_formats.values.lens_models import (
     is_fisheye,
-    is_model_key,
     states_model,
 )
 from track_range.stereo.rig_formats.values.stated import (
@@ -50,7 +49,6 @@ _OTHER_SET = ("rectified", "optimal", "new", "undistort")
 _NO_CAMERA = re.compile(
     r"(?:cameras?|cams?|intrinsics?|extrinsics?|calib(?:ration)?|param(?:eter)?s|sensors?|data)"
 )
-_WORD_OF_SIDE = re.compile(r"(?<![a-z])(left|right)(?![a-z])")
 _FLAGS = dict.fromkeys(("true", "yes", "on", "1", "1.0"), True) | dict.fromkeys(
     ("false", "no", "off", "0", "0.0"), False
 )
@@ -103,7 +101,6 @@ class RigDraft:
     names: Mapping[Side, str] = field(default_factory=dict)  # of the cameras' blocks, by side
     unread: tuple[str, ...] = ()  # keys of a distortion whose values are none of `Quantity`
     is_undistorted: bool = False  # whether the file states that its cameras are of such images
-    codes: tuple[tuple[str, int], ...] = ()  # keys of lens models whose values are numbers
 
     def get(self, side: Side, quantity: str, *, is_own: bool = False) -> Stated | None:
         """The value of a side, else that of both sides unless `is_own`; None if there is none."""
@@ -183,7 +180,6 @@ class RigDraft:
             models={**other.models, **self.models},
             names={**other.names, **self.names},
             unread=(*self.unread, *other.unread),
-            codes=(*self.codes, *other.codes),
         )
 
     def of_one_side(self, side: str) -> RigDraft:
@@ -227,16 +223,17 @@ def draft_of(content: Mapping[str, Any], path: Path, dialect: Dialect = PLAIN) -
         is_of_one_camera = side is not None or not any(place[0] for place in stated)
         if is_of_one_camera and is_rectified_alone:  # as in camera_info
             stated.setdefault((side, "rect"), stated.pop((side, "R")))
+    # two sides in the block of one camera are called after both
+    both = [side for side, _ in stated if isinstance(side, str) and side not in ("left", "right")]
     return RigDraft(
         path,
         stated,
         tuple(dict.fromkeys(_top_keys(content))),
         dialect=dialect,
         models=of_dialect.models() | leaves.models(),
-        names=leaves.names(),
+        names={**{side: side for side in both}, **leaves.names},
         unread=leaves.unread(),
         is_undistorted=leaves.is_undistorted,
-        codes=leaves.codes(),
     )
 
 
@@ -276,28 +273,16 @@ class _Leaves:
             and not (_OF_IMAGES & {*leaf.keys} and leaf.quantity in ("R", "T", "transform"))
         ]
         self._depth, self._sides = _camera_blocks(self._leaves)
-
-    def _is_in_block(self, leaf: _Leaf) -> bool:
-        """Whether a value is in the block of one of several cameras."""
-        return len(leaf.keys) > self._depth + 1 and leaf.keys[self._depth] in self._sides
+        self.names = {side: name for name, side in self._sides.items()}
 
     def _side(self, leaf: _Leaf, stated: Side) -> Side:
         """The camera of a value that states this side: that of its block, if several have cameras."""
-        if not self._is_in_block(leaf):
+        is_in_block = len(leaf.keys) > self._depth + 1
+        if not is_in_block or leaf.keys[self._depth] not in self._sides:
             return stated
         of_block = self._sides[leaf.keys[self._depth]]
-        if stated in (None, side_around(leaf.keys), of_block):
-            return of_block
-        return f"{of_block} {stated}"
-
-    def names(self) -> dict[Side, str]:
-        """The names of the cameras, by side: of their blocks, and of two sides in one block."""
-        names = {side: name for name, side in self._sides.items()}
-        for leaf in self._leaves:
-            if leaf.meaning is not None and self._is_in_block(leaf):
-                side = self._side(leaf, leaf.meaning.side)
-                names.setdefault(side, str(side))
-        return names
+        is_of_block = stated in (None, side_around(leaf.keys), of_block)
+        return of_block if is_of_block else f"{of_block} {stated}"
 
     def values(self) -> dict[Place, Stated]:
         """The values whose keys name a quantity; of several, the `counting` one."""
@@ -320,7 +305,7 @@ class _Leaves:
         for leaf in self._leaves:
             texts: dict[str, str] = {}
             if states_model(leaf.key, leaf.value):
-                texts[leaf.key] = leaf.value
+                texts[leaf.key] = str(leaf.value)
             elif leaf.quantity == "fisheye" and str(leaf.value).lower() in _FLAGS:
                 texts[leaf.key] = "fisheye" if _FLAGS[str(leaf.value).lower()] else "radtan"
             elif leaf.quantity in ("K", "D"):  # fisheye: {K: ..., D: ...}
@@ -336,14 +321,6 @@ class _Leaves:
             if _OF_DISTORTION.search(leaf.key.lower())
             and not isinstance(leaf.value, str | bool)
             and leaf.value not in (None, [])
-        )
-
-    def codes(self) -> tuple[tuple[str, int], ...]:
-        """Keys of lens models whose values are numbers, such as librealsense's, and the numbers."""
-        return tuple(
-            (leaf.key, leaf.value)
-            for leaf in self._leaves
-            if type(leaf.value) is int and is_model_key(leaf.keys[-1])
         )
 
 
@@ -364,14 +341,14 @@ def _check_images(leaves: Sequence[_Leaf], path: Path) -> None:
             )
         if name in _STRETCHES and leaf.value not in (None, 0, 1):
             raise RigError(
-                f"{path}: expected the calibration of recorded images, found that of stretched ones "
-                f"({leaf.key}: {quoted(leaf.value)}); stretch the video, or give a rig.yaml."
+                f"{path}: expected the calibration of recorded images, found that of stretched "
+                f"ones ({leaf.key}: {quoted(leaf.value)}); stretch the video, or give a rig.yaml."
             )
 
 
 def _of_recorded_images(leaves: list[_Leaf]) -> tuple[list[_Leaf], bool]:
-    """The values without those of rectified or undistorted images beside those of recorded ones; and
-    whether all are of undistorted images, as the file states.
+    """The values without those of rectified or undistorted images beside those of recorded ones;
+    and whether all are of undistorted images, as the file states.
     """
     others = {
         leaf.keys[:-1]
@@ -414,16 +391,12 @@ def _camera_blocks(leaves: Sequence[_Leaf]) -> tuple[int, dict[str, Side]]:
     names = {name: None for name in names if not _NO_CAMERA.fullmatch(name.lower())}
     if len(names) < 2:
         return 0, {}
-    sides: dict[str, Side] = {}
-    for name in names:
-        side = side_of_name(name)
-        words = _WORD_OF_SIDE.findall(name.lower().replace("_", " "))
-        if side is None and len(words) == 1:
-            side = words[0]
-        sides[name] = name if side is None else side
-    counts = Counter(sides.values())
-    # names that state one side twice are the sides themselves
-    sides = {name: side if counts[side] == 1 else name for name, side in sides.items()}
+    stated = {name: side_of_name(name) for name in names}
+    counts = Counter(stated.values())
+    # names that state no side, or that of another one, too, are the sides themselves
+    sides: dict[str, Side] = {
+        name: name if side is None or counts[side] > 1 else side for name, side in stated.items()
+    }
     return depth, sides
 
 
@@ -475,7 +448,8 @@ def _value(value: Any, quantity: Quantity, key: str, path: Path) -> Any:
     # a large matrix
     if value is None or (isinstance(value, dict) and value.get("data") == [] and "rows" in value):
         return None
-    is_exact = _is_exact(key, value)
+    is_of_camera = isinstance(value, list) and "." in key and key.endswith(_EXACT_PARTS)
+    is_exact = key in _EXACT_KEYS or is_of_camera  # a wrong number of numbers is an error
     if _is_matrix(value) and {"rows", "cols"} <= value.keys():
         numbers: FloatArray | None = _stored(value, f"{path}: {key}")
     else:
@@ -486,17 +460,9 @@ def _value(value: Any, quantity: Quantity, key: str, path: Path) -> Any:
                 f"{path}: {key}: expected finite numbers, found {quoted(value)}; calibrate again."
             )
         return None
-    if quantity.is_transposed and numbers.size in quantity.counts:
-        numbers = numbers.reshape(3, 3).T.ravel()
     if quantity.order and numbers.size in quantity.counts:
         numbers = numbers[list(quantity.order)]
     return numbers if is_exact or numbers.size in quantity.counts else None
-
-
-def _is_exact(key: str, value: Any) -> bool:
-    """Whether a wrong number of numbers is an error."""
-    is_of_camera = isinstance(value, list) and "." in key and key.endswith(_EXACT_PARTS)
-    return key in _EXACT_KEYS or is_of_camera
 
 
 def _stored(value: dict[str, Any], name: str) -> FloatArray:

@@ -1,7 +1,7 @@
 """The lens models that files state, by every name that programs and people give them.
 
-A name is translated to Kalibr's names of a projection and of a distortion, by which `LENSES` have their lenses;
-a model that is no lens here is refused by its name.
+A name is translated to Kalibr's names of a projection and of a distortion, by which `LENSES` have
+their lenses; a model that is no lens here is refused by its name.
 """
 
 import re
@@ -12,7 +12,8 @@ from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.lenses.lens import KalibrModel
 from track_range.stereo.lenses.registry import LENSES
 
-# Kalibr's projection and distortion ("" = not stated), and their names in lower case without punctuation
+# Kalibr's projection and distortion ("" = not stated), and their names in lower case without
+# punctuation
 _SPELLINGS = {
     ("pinhole", ""): "pinhole perspective simplepinhole pinholecamera rectilinear",
     ("", "none"): "none nodistortion undistorted",
@@ -45,8 +46,10 @@ _BY_NAME = {name: models for models, names in _SPELLINGS.items() for name in nam
 _OTHER_BY_NAME = {name: title for title, names in _OTHERS.items() for name in names.split()}
 _SEPARATORS = re.compile(r"[^a-z0-9]")
 _PREFIX = re.compile(r"^(?:lensmodel|distortion)(?=.)")  # of mrcal and of librealsense's Python
-# what a text is about, by its key: these state nothing but a model, so that an unknown name is one that is missing
+# what a text is about, by its key: these state nothing but a model, so that an unknown name is one
+# that is missing
 _OF_MODELS = re.compile(r"projection_?(?:type|model)|digital_?lens|\bprojection$")
+# numbers with these keys are those of a program's models, such as librealsense's
 _MODEL_KEYS = frozenset(
     "model distortionmodel distortiontype lensmodel lenstype cameramodel cameratype".split()
 )
@@ -64,7 +67,8 @@ def kalibr_names(text: str) -> tuple[str, str] | None:
     known = _BY_NAME.get(name)
     if known is not None:
         return known
-    for model in _models():  # of other packages
+    models = [model for lens in LENSES.usable.values() for model in lens.kalibr]
+    for model in models:  # of other packages
         if name == _plain(model.camera):
             return model.camera, ""
         if name == _plain(model.distortion):
@@ -72,22 +76,15 @@ def kalibr_names(text: str) -> tuple[str, str] | None:
     return None
 
 
-def _models() -> list[KalibrModel]:
-    return [model for lens in LENSES.usable.values() for model in lens.kalibr]
-
-
 def is_fisheye(text: str) -> bool:
     """Whether a name is one of OpenCV's fisheye model, as of a block of values."""
     return kalibr_names(text) == ("", "equidistant")
 
 
-def is_model_key(name: str) -> bool:
-    """Whether a value of this name states nothing but a lens model, or its number."""
-    return _SEPARATORS.sub("", name.lower()) in _MODEL_KEYS
-
-
 def states_model(key: str, value: object) -> bool:
-    """Whether a text with this key states a lens model."""
+    """Whether a text or a number with this key states a lens model."""
+    if type(value) is int:
+        return _SEPARATORS.sub("", key.rpartition(".")[2].lower()) in _MODEL_KEYS
     if not isinstance(value, str) or not value:
         return False
     name, key = _plain(value), key.lower()
@@ -102,8 +99,8 @@ def states_model(key: str, value: object) -> bool:
 
 
 def stated_lens(stated: Mapping[str, str], source: object) -> tuple[str, KalibrModel] | None:
-    """The lens of a model that a file states under these keys, and its form in Kalibr's files; None =
-    none is stated, or only that the projection is a pinhole's.
+    """The lens of a model that a file states under these keys, and its form in Kalibr's files; None
+    = none is stated, or only that the projection is a pinhole's.
 
     Raises RigError for a model that is no lens here, and for two that contradict each other.
     """
@@ -130,8 +127,8 @@ def stated_lens(stated: Mapping[str, str], source: object) -> tuple[str, KalibrM
 
 
 def _check_alone(model: KalibrModel, lenses: Sequence[str], source: object) -> None:
-    """Raise RigError if several lenses have one name of Kalibr: those that are registered at run time,
-    since those of packages are left out.
+    """Raise RigError if several lenses have one name of Kalibr: those that are registered at run
+    time, since those of packages are left out.
     """
     if len(lenses) > 1:
         raise RigError(
@@ -144,8 +141,8 @@ def _unknown(key: str, text: str, source: object) -> RigError:
     title = _OTHER_BY_NAME.get(_plain(text), "a lens model")
     return RigError(
         f"{source}: expected a lens model of {alternatives(LENSES.usable)}, found {title}, "
-        f"{quoted(text)} in {key}; calibrate with one of these, or undistort the video and give the "
-        "pinhole of its images."
+        f"{quoted(text)} in {key}; write the name of one of these, calibrate with one, or "
+        "undistort the video and give the pinhole of its images."
     )
 
 

@@ -53,8 +53,8 @@ def motion_of(draft: RigDraft) -> PairMotion:
 
 
 def pose_of(draft: RigDraft, side: Side) -> FloatArray | None:
-    """(4, 4) transform from a frame that the cameras share to a camera: by its pose on a body, by R and
-    T of each camera, or by the transforms from the camera before it; None = unknown.
+    """(4, 4) transform from a frame that the cameras share to a camera: by its pose on a body, by R
+    and T of each camera, or by the transforms from the camera before it; None = unknown.
     """
     body = draft.get(side, "body", is_own=True)
     if body is not None:

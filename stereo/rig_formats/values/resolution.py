@@ -42,8 +42,8 @@ _MOST_CAMERAS = 100  # of a file that are read; some list those of thousands of 
 
 def resolved(draft: RigDraft, *, is_pair: bool) -> RigCalibration:
     """The cameras by projection matrices, by a baseline, alone, or by R and T; RigError if a part
-    is missing, or contradicts another one. Cameras whose pair is not determined are `cameras` of the
-    result, of which the caller chooses.
+    is missing, or contradicts another one. Cameras whose pair is not determined are `cameras` of
+    the result, of which the caller chooses.
     """
     if not draft.has("K", "fx", "P"):
         for side in draft.models:
@@ -66,8 +66,8 @@ def resolved(draft: RigDraft, *, is_pair: bool) -> RigCalibration:
 
 
 def _is_pair(draft: RigDraft) -> bool:
-    """Whether the files have the relation of two cameras, and these are a left and a right one, or the
-    only ones.
+    """Whether the files have the relation of two cameras, and these are a left and a right one, or
+    the only ones.
     """
     is_related = draft.has_extrinsics or draft.has("P", "body", "baseline", "bf")
     n_numbered = sum(isinstance(side, int) for side in draft.sides)
@@ -261,8 +261,10 @@ _SEEN = (
         "track-range calibrate --stereo 'left*.jpg' 'right*.jpg' --board 9x6 --square-mm 24 calibrates the cameras",
     )),
     (re.compile("mappingcoefficients"), (
-        "expected a camera matrix, but this file seems to contain a fisheye camera of MATLAB (OCamCalib)",
-        "calibrate with OpenCV's fisheye model, or undistort the video and give the pinhole of its images",
+        "expected a camera matrix, but this file seems to contain a fisheye camera of MATLAB "
+        "(OCamCalib)",
+        "calibrate with OpenCV's fisheye model, or undistort the video and give the pinhole of "
+        "its images",
     )),
     (re.compile(r"\br\b|\bt\b"), (
         "expected the matrix M1 in this file or in an intrinsics file in its folder, but this file seems to contain "

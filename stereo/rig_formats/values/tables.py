@@ -1,4 +1,6 @@
-"""Calibrations whose values have no names, but places: values by name of COLMAP, DSO, RobotCar, mrcal and basalt."""
+"""Calibrations whose values have no names, but places: values by name of COLMAP, DSO, RobotCar,
+mrcal and basalt.
+"""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -76,8 +78,8 @@ def _colmap(text: str) -> dict[str, Any]:
 
 
 def _dso(text: str) -> dict[str, Any]:
-    """One camera: MODEL fx fy cx cy terms, then the width and height; five numbers without a model are
-    those of the FOV model, eight those of RadTan (DSO, Undistort.cpp).
+    """One camera: MODEL fx fy cx cy terms, then the width and height; five numbers without a model
+    are those of the FOV model, eight those of RadTan (DSO, Undistort.cpp).
     """
     model, words, width, height = DSO.findall(text)[0]
     numbers = _numbers(words)
@@ -98,7 +100,9 @@ def _robotcar(text: str) -> dict[str, Any]:
 
 
 def of_mrcal(values: Mapping[str, Any]) -> dict[str, Any]:
-    """One camera: fx fy cx cy and the terms in one list, and its pose by rotation vector and position."""
+    """One camera: fx fy cx cy and the terms in one list, and its pose by rotation vector and
+    position.
+    """
     intrinsics: Sequence[float] = values["intrinsics"]
     content = {
         "distortion_model": values["lensmodel"],

@@ -223,8 +223,8 @@ def check_clips(
     Of remote clips only the existence and size of the files are known. `focal_px` and `fps` are
     as in a run, for clips without calibration and images without times,
     `stereo_layout` for single videos of two cameras; with `has_camera`, the cameras of clips without
-    a calibration are estimated before the run; `cameras` are their names in calibrations of several;
-    `threads` clips are checked at a time.
+    a calibration are estimated before the run; `cameras` are their names in calibrations of
+    several; `threads` clips are checked at a time.
     """
     listings = FolderListings()
 

@@ -102,9 +102,10 @@ def read_csv_table(
 
     Columns may be separated by semicolons or tabs instead of commas; then decimals may have a
     comma. `default_header` names the columns of a file whose first line has no column names. Rows
-    with missing cells, or one separator at the end, are allowed unless `exact`. `is_header`: whether
-    cells in lower case are the header, of files that may have lines before it. Raises `error` if
-    the file is unreadable, empty or not CSV, a row has too many cells, or a column has no name.
+    with missing cells, or one separator at the end, are allowed unless `exact`. `is_header`:
+    whether cells in lower case are the header, of files that may have lines before it. Raises
+    `error` if the file is unreadable, empty or not CSV, a row has too many cells, or a column has
+    no name.
     """
     text = read_text(path, error, "CSV", max_bytes=MAX_TABLE_BYTES)
     lines = text.split("\n")
@@ -119,8 +120,8 @@ def read_csv_table(
         ]
     except csv.Error as reason:
         raise error(
-            f"{path}, line {n_before + reader.line_num}: expected {expected} as CSV; check the quotation "
-            f"marks ({reason})."
+            f"{path}, line {n_before + reader.line_num}: expected {expected} as CSV; check the "
+            f"quotation marks ({reason})."
         ) from reason
     if not numbered:
         raise error(f"{path}: the file is empty; expected {expected}.")

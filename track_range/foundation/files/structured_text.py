@@ -1,9 +1,10 @@
-"""The reader of all YAML and JSON files: limited in size and depth, without nested aliases; errors are one sentence.
+"""The reader of all YAML and JSON files: limited in size and depth, without nested aliases; errors
+are one sentence.
 
     regular file -> text -> events: depth, aliases, tags -> plain values -> pydantic model (`schemas.validation`)
 
-An alias counts as many values as what it stands for, and is refused in what another one stands for: a file of 500
-bytes with nested aliases expands to gigabytes (the "billion laughs" attack).
+An alias counts as many values as what it stands for, and is refused in what another one stands for:
+a file of 500 bytes with nested aliases expands to gigabytes (the "billion laughs" attack).
 """
 
 import json

@@ -437,11 +437,10 @@ class _Chosen:
 
     def content(self, sizes_px: Sizes) -> RigCalibration:
         """Content of the file for images of these sizes."""
-        is_pair = len(sizes_px) > 1
         return read_calibration(
             self.path,
             is_grey=self.is_grey,
-            is_pair=is_pair,
+            is_pair=len(sizes_px) > 1,
             cameras=self.names,
             size_px=sizes_px[0],
         )
@@ -463,9 +462,9 @@ def calibration_of(
     view: LensView = WHOLE_VIEW,
     names: Sequence[str] = (),
 ) -> RecordingCalibration:
-    """The calibration of one camera or a pair, for images of one or two sizes, from a file, of which
-    `names` may choose cameras, or from camera models; None = a usual focal length and an assumed
-    baseline, which the drive corrects.
+    """The calibration of one camera or a pair, for images of one or two sizes, from a file, of
+    which `names` may choose cameras, or from camera models; None = a usual focal length and an
+    assumed baseline, which the drive corrects.
 
     Raises RigError if the file cannot be used, the cameras do not fit the images, or as
     `find_calibration`.
@@ -636,9 +635,9 @@ def _one_focal_length(videos: Sequence[Video], sizes_px: Sizes, aspect: float) -
     focal_px = camera.resized(square_size(sizes_px[number], aspect)).fx_px
     unused = ", its distortion is not" if camera.is_distorted else ""
     return focal_px, (
-        f"{videos[1 - number].path}: no calibration beside these images: only the focal length of the "
-        f"other camera is used, {focal_px:.0f} px{unused}; record the camera_info of both, or give "
-        "--rig."
+        f"{videos[1 - number].path}: no calibration beside these images: only the focal length of "
+        f"the other camera is used, {focal_px:.0f} px{unused}; record the camera_info of both, or "
+        "give --rig."
     )
 
 

@@ -281,8 +281,7 @@ class PairAligner:
     @property
     def doubts_moments(self) -> bool:
         """Whether the frames that were read ahead may be pairs of different moments."""
-        look = self._state
-        if not isinstance(look, _Look) or self._check is None:
+        if not isinstance(self._state, _Look) or self._check is None:
             return False
         finding = self._check.explained()
         return finding is None or finding.fault in _DOUBTFUL

@@ -123,8 +123,8 @@ class RecordedPair(VideoPair[RecordedVideo]):
         self._sides = self._new_sides()
 
     def use_offset(self, offset: ClockOffset) -> bool:
-        """Pair by what images show of the clocks, in addition to the present offset; returns whether
-        that changes the pairs.
+        """Pair by what images show of the clocks, in addition to the present offset; returns
+        whether that changes the pairs.
         """
         if offset.kind == "unknown":
             self._clock_notes.append(
@@ -138,8 +138,8 @@ class RecordedPair(VideoPair[RecordedVideo]):
         self.right.offset_s += offset.value_s
         self._clock_notes = [
             f"{self.right.path}: {self.right.offset_s:+.2f} s are added to its times, since its "
-            f"images then show the moments of {self.left.path} ({offset.points:.0f} points in equal "
-            f"rows, {offset.other_points:.0f} at other moments)."
+            f"images then show the moments of {self.left.path} ({offset.points:.0f} points in "
+            f"equal rows, {offset.other_points:.0f} at other moments)."
         ]
         return True
 

@@ -92,8 +92,8 @@ def _without_marks(track: TelemetryTrack) -> TelemetryTrack:
     if not is_mark.any():
         return track
     note = (
-        f"its {int(is_mark.sum())} speeds of {float(stated[is_mark][0]):g} mark a missing speed and "
-        "are not used."
+        f"its {int(is_mark.sum())} speeds of {float(stated[is_mark][0]):g} mark a missing speed "
+        "and are not used."
     )
     speed_mps = np.where(is_mark, np.nan, track.speed_mps)
     return replace(track, speed_mps=speed_mps, notes=(*track.notes, note))

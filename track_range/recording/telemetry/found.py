@@ -90,10 +90,8 @@ def named_telemetry(path: Path, parts: Sequence[VideoPart]) -> FoundTelemetry:
     is_sidecar = path.suffix.lower() in sidecar_suffixes()
     kind = kind_of(path)
     track = None
-    if not is_sidecar:
-        track = _in_video(path)
-    elif not kind:
-        track = read_sidecar(path, first.path.name, whole_s)
+    if not is_sidecar or not kind:
+        track = read_sidecar(path, first.path.name, whole_s) if is_sidecar else _in_video(path)
     if track is None:
         raise TelemetryError(
             f"{path}: expected speeds or positions with times, found {kind or 'none'}."

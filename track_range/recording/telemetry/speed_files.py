@@ -95,8 +95,8 @@ def _from_oxts(folder: Path) -> EgoSpeed:
     )
     if not files:
         raise EgoSpeedError(
-            f"{folder}: expected KITTI oxts files such as 0000000000.txt, or the files of a bag, found "
-            "none."
+            f"{folder}: expected KITTI oxts files such as 0000000000.txt, or the files of a bag, "
+            "found none."
         )
     paths = [
         path / OXTS_TIMES for path in (folder, folder.parent) if os.path.lexists(path / OXTS_TIMES)

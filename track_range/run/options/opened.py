@@ -83,9 +83,9 @@ def open_detector(
 
 
 def class_names(option: str | None) -> tuple[str, ...] | None:
-    """Class names from the name of a list (`CLASS_LISTS`), `a,b,c` or a file with one name per line;
-    ConfigError for unreadable or empty files, and for one word that is neither a list nor a road
-    class.
+    """Class names from the name of a list (`CLASS_LISTS`), `a,b,c` or a file with one name per
+    line; ConfigError for unreadable or empty files, and for one word that is neither a list nor a
+    road class.
     """
     if option is None:
         return None
@@ -103,8 +103,8 @@ def class_names(option: str | None) -> tuple[str, ...] | None:
         )
     if names == (option,) and map_to_road_classes(names)[0] < 0:
         raise ConfigError(
-            f"--names {source}: expected one of the lists {', '.join(CLASS_LISTS)}, names as a,b,c, "
-            "a file with one name per line, or the name of a road class."
+            f"--names {source}: expected one of the lists {', '.join(CLASS_LISTS)}, names as "
+            "a,b,c, a file with one name per line, or the name of a road class."
         )
     return names
 

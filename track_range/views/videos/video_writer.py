@@ -38,8 +38,9 @@ fast."""
 
 _FASTEST = "ultrafast"
 _KEPT_BLOCKS = {"x264-params": "dct-decimate=0"}
-"""Blocks with few coefficients are kept: at this preset, looking for them takes an eighth to a fifth
-of the time, and saves 3 % of the size."""
+"""Blocks with few coefficients are kept: at this preset, looking for them takes an eighth to a
+fifth of the time, and saves 3 % of the size.
+"""
 
 MAX_HELD_FRAMES = 1  # number of frames that the muxer holds, and that a kill therefore loses
 # FFmpeg's AVCOL_SPC_BT470BG, the colour space of OpenCV's I420 conversion; players need it in the

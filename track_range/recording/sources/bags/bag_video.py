@@ -46,8 +46,8 @@ _CALIBRATION_NAMES = ("camera_info", "calibration", "info/camera_info")
 .../info/camera_info."""
 
 
-# words in the names of topics: rectified images, others, and those of RealSense, ZED and OAK cameras
-# that are no images of the scene
+# words in the names of topics: rectified images, others, and those of RealSense, ZED and OAK
+# cameras that are no images of the scene
 _RECTIFIED = {"rect", "rectified", "undistorted"}
 _RAW = {"raw", "unrectified", "distorted"}
 _DEPTH = {"depth", "disparity", "confidence"}
@@ -134,8 +134,8 @@ class BagVideo(RecordedVideo):
             (self._clock.n_backward, "image", " with a repeated or backward time"),
         )
         set_back = [
-            f"the clock of the images is set back by {step_s:.1f} s at {time_s:.1f} s; the times go "
-            "on from there by the usual interval."
+            f"the clock of the images is set back by {step_s:.1f} s at {time_s:.1f} s; the times "
+            "go on from there by the usual interval."
             for time_s, step_s in self._clock.set_back[:3]
         ]
         end = (
@@ -282,6 +282,6 @@ class BagVideo(RecordedVideo):
         if not _RAW.isdisjoint(_words(self._topic.name)):
             return ""
         return (
-            f": K and D, {focal_px:.0f} px, as of raw images; if they are rectified, give --focal-px "
-            f"{rectified_px:.0f}"
+            f": K and D, {focal_px:.0f} px, as of raw images; if they are rectified, give "
+            f"--focal-px {rectified_px:.0f}"
         )

@@ -65,7 +65,7 @@ def _fault_of_stamps(first_s: FloatArray) -> str:
         return ""
     if repeats_both:
         raise ValueError(
-            f"images at different times, found {len(first_s)} of which most have the time stamp and "
-            "time of recording of an earlier one; record or convert the bag with its times"
+            f"images at different times, found {len(first_s)} of which most have the time stamp "
+            "and time of recording of an earlier one; record or convert the bag with its times"
         )
     return "images repeat the time stamps of earlier ones"

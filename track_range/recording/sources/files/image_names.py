@@ -1,8 +1,9 @@
 """Names of the images of a folder: their order, the number or time in each, and the camera.
 
 time      a date (2026-01-31T14-25-30.123, 260131_142530123), a time of day with a fraction (14-25-30.123, 142530123),
-a decimal (1305031102.175304, 1305031102_175304), or 10 to 19 digits without leading zeros, in the unit (s, ms, us,
-ns) that gives a plausible frame rate; in all names, different in each, and not as close as numbers (142530_001)
+a decimal (1305031102.175304, 1305031102_175304), or 10 to 19 digits without leading zeros, in the
+unit (s, ms, us, ns) that gives a plausible frame rate; in all names, different in each, and not as
+close as numbers (142530_001)
 number    the last field of digits that differs in each name, in the same order as all fields together
 else      natural order: fields of digits are compared as numbers
 
@@ -209,8 +210,8 @@ def usual_step(numbers: Sequence[int]) -> int:
 
 
 def _times_in_names(stems: Sequence[str]) -> tuple[FloatArray | None, bool]:
-    """(N,) times in seconds in the names, None if a name has no time, or two have the same time; and
-    whether they are dates.
+    """(N,) times in seconds in the names, None if a name has no time, or two have the same time;
+    and whether they are dates.
     """
     if len(stems) < 2:
         return None, False

@@ -326,7 +326,8 @@ class _Reading:
         self.log = DecodeLog()
         self.notes: list[str] = [] if track is not None else self._notes_on_tracks(number)
         self.time_base = self.stream.time_base or Fraction(1, 90_000)
-        # AVI has a rate, but no timestamps: those that FFmpeg counts are out of order with B-frames.
+        # AVI has a rate, but no timestamps: those that FFmpeg counts are out of order with
+        # B-frames.
         is_avi = self.container.format.name == "avi"
         self.has_clock = has_clock(self.container, self.stream)
         self.fps = self._rate_hz(fps, is_counted=is_avi)
@@ -698,7 +699,8 @@ _NO_VIDEOS = (
     ),
     (
         rb"[^\n]*\nv=0\s+o=",
-        "expected a video, found the description of a stream (SDP); give the address of the stream.",
+        "expected a video, found the description of a stream (SDP); give the address of the "
+        "stream.",
     ),
     (
         rb"\.(yuv|i420|nv12|nv21|yuyv|uyvy|rgb|bgr|rgba|gray|grey)\n",

@@ -418,8 +418,8 @@ def _times_of_numbers(
         return values, "local", ()
     if _MULTIPLE.search(name):
         raise TelemetryError(
-            f"{table.path}: expected a unit of the times in the heading {shortened(repr(name))}, found "
-            "a multiple of one; convert the times, and rename it to time_s."
+            f"{table.path}: expected a unit of the times in the heading {shortened(repr(name))}, "
+            "found a multiple of one; convert the times, and rename it to time_s."
         )
     scale, notes = _scale(name, typical, np.diff(known))
     time_s = values * scale
@@ -431,8 +431,8 @@ def _times_of_numbers(
         # whole seconds, as videos state their start
         return time_s + np.floor(start_s[0]), clock, notes
     unread = [
-        f"its times count from the first frame of the video, not from {quoted(line, 60)}; dates and "
-        "times in a column would be matched with those of the video."
+        f"its times count from the first frame of the video, not from {quoted(line, 60)}; dates "
+        "and times in a column would be matched with those of the video."
         for line in table.preamble
         if _MOMENT.search(line)
     ]

@@ -88,8 +88,9 @@ def subtitle_track(
     """See `read_srt`, of the texts of subtitles at these times."""
     sentences = fixes_in(texts, str(path))
     if any(fix is not None for fix in sentences):
-        fixes = [fix or Sample() for fix in sentences]
-        moved = [fix.at(time_s) for fix, time_s in zip(fixes, times_s, strict=True)]
+        moved = [
+            (fix or Sample()).at(time_s) for fix, time_s in zip(sentences, times_s, strict=True)
+        ]
         return plain_track(moved, path.name, "video")
     for ignored in _IGNORED:
         texts = [ignored.sub(" ", text) for text in texts]
@@ -150,8 +151,7 @@ def _chosen(
     first = columns[0]
     largest_mps = _SAME * np.nanmedian(np.abs(first)) + _SAME_MPS
     for other in columns[1:]:
-        is_same = np.nanmedian(np.abs(other - first)) <= largest_mps
-        if not is_same:
+        if not np.nanmedian(np.abs(other - first)) <= largest_mps:  # NaN, too
             both_kmh = [3.6 * float(np.nanmedian(values)) for values in (first, other)]
             raise TelemetryError(
                 f"{path}: expected one speed of the car in each subtitle, found {both_kmh[0]:.0f} "
@@ -180,9 +180,9 @@ def _dji_positions(
     blank = np.full(len(time_s), np.nan)
     tracks = [speed_from_positions(time_s, lat, lon, blank) for lat, lon in (o.T for o in orders)]
     ratios = [speed_ratio(one, time_s, speed_mps, _MIN_MOVING).median for one in tracks]
-    errors = [math.inf if math.isnan(ratio) else abs(ratio - 1) for ratio in ratios]
-    if min(errors) <= _SAME:
-        return orders[errors.index(min(errors))], ()
+    errors = np.abs(np.array(ratios) - 1)  # NaN = without motion
+    if (errors <= _SAME).any():
+        return orders[int(np.nanargmin(errors))], ()
     if any(match and match[3] for match in matches):
         return latitude_first, ()
     note = "GPS(...) is read as longitude, latitude; the file does not state the order."

@@ -4,7 +4,6 @@ import re
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -50,35 +49,6 @@ _PLAIN = {  # what no notation has, and what it means; patterns
 _N_TRIED = 50  # number of texts from which the notation is found
 
 
-class _TimeText(NamedTuple):
-    """A text that may be a date and time."""
-
-    text: str
-    plain: str  # without a fraction and what notations do not have
-    fraction_s: float
-
-    @classmethod
-    def of(cls, text: str) -> Self:
-        """The text, of which only the start is read."""
-        fraction = _FRACTION.search(text[:60])
-        plain = _FRACTION.sub("", text[:60])
-        for pattern, meaning in _PLAIN.items():
-            plain = re.sub(pattern, meaning, plain, flags=re.IGNORECASE)
-        fraction_s = 0.0 if fraction is None else float(f"0.{fraction[1]}")
-        return cls(text, " ".join(plain.split()), fraction_s)
-
-    def moment(self, notation: str | None) -> datetime | None:
-        """The moment that the text states in a notation, None = ISO 8601; returns None for other
-        texts.
-        """
-        try:
-            if notation is None:
-                return datetime.fromisoformat(self.text[:40].replace("/", "-"))
-            return datetime.strptime(self.plain, notation) + timedelta(seconds=self.fraction_s)
-        except (ValueError, OverflowError):
-            return None
-
-
 def times_of_texts(texts: Sequence[str], path: Path) -> tuple[FloatArray, Clock]:
     """(N,) seconds since 1970, or since midnight where no text has a date, NaN = unreadable, and
     their clock.
@@ -87,9 +57,8 @@ def times_of_texts(texts: Sequence[str], path: Path) -> tuple[FloatArray, Clock]
     if most texts are no times, or their order of day and month is not clear.
     """
     tried = [text for text in texts if re.search(r"\d", text)][:_N_TRIED]
-    time_texts = [_TimeText.of(text) for text in tried]
     n_read = {
-        notation: sum(text.moment(notation) is not None for text in time_texts)
+        notation: sum(_moment(text, notation) is not None for text in tried)
         for notation in (None, *_NOTATIONS)
     }
     notation = max(n_read, key=lambda notation: n_read[notation])
@@ -105,7 +74,7 @@ def times_of_texts(texts: Sequence[str], path: Path) -> tuple[FloatArray, Clock]
             f"{path}: expected dates with a clear order of day and month, found "
             f"{quoted(tried[0])}; write them like 2026-05-31 09:30:00."
         )
-    moments = [_TimeText.of(text).moment(notation) for text in texts]
+    moments = [_moment(text, notation) for text in texts]
     read = [moment for moment in moments if moment is not None]
     zoned = sum(moment.tzinfo is not None for moment in read)
     start = datetime(1900, 1, 1, tzinfo=UTC)  # the date of times without one
@@ -130,3 +99,20 @@ def unwrapped(time_s: FloatArray) -> FloatArray:
         np.diff(time_s[known], prepend=time_s[known][:1]) < -DAY_S / 2
     )
     return result
+
+
+def _moment(text: str, notation: str | None) -> datetime | None:
+    """The moment that a text states in a notation, None = ISO 8601; returns None for other
+    texts.
+    """
+    try:
+        if notation is None:
+            return datetime.fromisoformat(text[:40].replace("/", "-"))
+        fraction = _FRACTION.search(text[:60])
+        plain = _FRACTION.sub("", text[:60])
+        for pattern, meaning in _PLAIN.items():
+            plain = re.sub(pattern, meaning, plain, flags=re.IGNORECASE)
+        moment = datetime.strptime(" ".join(plain.split()), notation)
+    except (ValueError, OverflowError):
+        return None
+    return moment if fraction is None else moment + timedelta(seconds=float(f"0.{fraction[1]}"))
