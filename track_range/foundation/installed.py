@@ -2,9 +2,14 @@
 other.
 """
 
+import os
+import re
+import subprocess
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import Distribution, PackageNotFoundError, version
+from pathlib import Path
 
 # with the same modules, by the one that is required
 _DISTRIBUTIONS: Mapping[str, tuple[str, ...]] = {
@@ -50,3 +55,32 @@ def conflicts() -> tuple[str, ...]:
         "the package that you need."
         for versions in several
     )
+
+
+@cache
+def commit_of_package(package: Path, distribution: str) -> str:
+    """Commit of an installed package: that of its installation from a repository, or that of the
+    checkout that contains it, with "-dirty" if files differ from it; "" = unknown.
+    """
+    with suppress(PackageNotFoundError):
+        origin = Distribution.from_name(distribution).read_text("direct_url.json") or ""
+        if match := re.search(r'"commit_id": *"([0-9a-f]+)"', origin):
+            return match[1]
+    with suppress(OSError, subprocess.SubprocessError):
+        # a package that is installed inside of another project's checkout is no part of it
+        if _git(package, "ls-files", "--error-unmatch", "__init__.py"):
+            return _git(package, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
+    return ""
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    """What Git prints, "" if it fails; it changes nothing, not even its index."""
+    answer = subprocess.run(
+        ["git", "-C", os.fspath(folder), *arguments],
+        capture_output=True,
+        text=True,
+        timeout=10,
+        check=False,
+        env={**os.environ, "GIT_OPTIONAL_LOCKS": "0"},
+    )
+    return answer.stdout.strip() if answer.returncode == 0 else ""

@@ -14,8 +14,9 @@ from track_range.results.formats.provenance import Provenance, settings_hash
 from track_range.results.formats.run_info import RunInfo
 from track_range.run.opening import OpenedRun
 from track_range.run.options.anonymity import ANONYMIZED, without_folders, without_paths
-from track_range.run.options.paths import input_files
+from track_range.run.options.paths import files_by_setting, input_files
 from track_range.run.options.settings_file import absolute_settings
+from track_range.run.reports.input_hashes import InputHashes
 from track_range.run.reports.report import Reports
 
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
@@ -27,6 +28,7 @@ class Origin(Reports):
     """Inputs, settings and versions of a run."""
 
     opened: OpenedRun
+    inputs_read: InputHashes
 
     def notes(self) -> Sequence[str]:
         """Notes on anonymized results, on the boxes, the installation and the ground truth."""
@@ -39,8 +41,9 @@ class Origin(Reports):
         )
 
     def summary(self) -> Mapping[str, Any]:
-        """Versions and the hash of the settings."""
+        """Versions, the hash of the settings, and the hashes of the files that were read."""
         return {
+            **self.inputs_read.summary(),
             "versions": _versions(),
             "schema_version": SCHEMA_VERSION,
             "settings_hash": self.provenance.settings_hash,
@@ -50,7 +53,8 @@ class Origin(Reports):
     def provenance(self) -> Provenance:
         """What determined the results."""
         settings = absolute_settings(self.opened.settings)
-        return Provenance.of_inputs(self.detected(), settings_hash(settings, origins()))
+        hashed = settings_hash(settings, origins(), self.inputs_read.hashes)
+        return Provenance.of_inputs(self.detected(), hashed)
 
     @property
     def inputs(self) -> dict[str, Any]:
@@ -105,6 +109,18 @@ class Origin(Reports):
         rigs = [] if rig is None else [rig]
         paths = [*input_files(opened.settings), *rigs, *opened.speed.files]
         return [without_paths(note, paths) for note in notes]
+
+
+def input_hashes(opened: OpenedRun) -> InputHashes:
+    """Hashes of the files of the settings, and of the calibration and telemetry that were found
+    beside the recording.
+    """
+    files = files_by_setting(opened.settings)
+    rig, speed = opened.recording.calibration.path, opened.speed.files
+    files |= {} if rig is None else {"rig": [rig]}
+    files |= {"ego_speed": list(speed)} if speed else {}
+    files.pop("detector", None)
+    return InputHashes(files, opened.box_source.description.get("detector", {}))
 
 
 @cache

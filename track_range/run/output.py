@@ -135,7 +135,12 @@ class RunOutput:
         if self._rig is not None:
             save_rig(self._rig, folder / "rig.yaml")
             settings = settings.model_copy(update={"rig": folder / "rig.yaml"})
-        save_settings(settings, folder / "settings.yaml", detected=session.origin.detected())
+        save_settings(
+            settings,
+            folder / "settings.yaml",
+            detected=session.origin.detected(),
+            file_hashes=session.origin.inputs_read.hashes,
+        )
         recording = session.recording
         drawn = pictures(settings, recording, session.meter.captions) if has_videos else {}
         self.videos = {name: f"{name}.mp4" for name in drawn}

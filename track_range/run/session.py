@@ -10,7 +10,7 @@ from track_range.results.events.finder import EventFinder
 from track_range.results.rows.rows import Rows
 from track_range.results.table import RunRows
 from track_range.run.opening import OpenedRun
-from track_range.run.origin import Origin
+from track_range.run.origin import Origin, input_hashes
 from track_range.run.processing import paced_frames, processed_results
 from track_range.run.reports import (
     course,
@@ -36,7 +36,7 @@ class RunSession:
         self.rows = RunRows(fps=reader.fps, finder=EventFinder(settings.event_settings))
         self._paced = paced_frames(settings, reader)
         self.meter = FrameMeter(reader.live or self._paced, every=settings.every)
-        self.origin = Origin(opened)
+        self.origin = Origin(opened, input_hashes(opened))
         self.course = course.Course(
             self.rows,
             reader,

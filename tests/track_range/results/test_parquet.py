@@ -259,10 +259,14 @@ def test_run_with_parquet_only(tmp_path: Path, run_on_noise: Callable[..., tr.Ru
     metadata = parquet.read_schema(alone / PARQUET).metadata
     run = read_yaml(alone / "settings.yaml", OutputError, "settings")["run"]
     summary = json.loads((alone / "summary.json").read_text())
+    hashes: dict[str, list[str]] = {}
+    for entry in summary["provenance"]["files"]:  # small files, which are hashed whole
+        hashes.setdefault(entry["role"], []).append(entry["sha256"])
+    assert hashes.keys() == {"mono", "detections"}
     assert (
         metadata[b"track_range.settings_hash"].decode()
         == summary["settings_hash"]
-        == settings_hash(run)
+        == settings_hash(run, file_hashes=hashes)
     )
     export(ExportSettings(source=alone, to="parquet", out=tmp_path / "exported"))
     assert parquet.read_schema(tmp_path / "exported").metadata == metadata
@@ -285,6 +289,11 @@ def test_settings_hash() -> None:
     assert settings_hash(run) == settings_hash({**written, "focal_px": 900.0, "mono": "/a.mp4"})
     for other in ({"mono": "/b.mp4"}, {"focal_px": 901.0}, {"sgbm_options": {"a": 2, "b": [1, 2]}}):
         assert settings_hash(run) != settings_hash({**run, **other})
+    first = settings_hash(run, file_hashes={"rig": ["1"]})
+    assert first == settings_hash(
+        written | {"focal_px": 900.0, "mono": "/a.mp4"}, {}, {"rig": ["1"]}
+    )
+    assert first not in (settings_hash(run), settings_hash(run, file_hashes={"rig": ["2"]}))
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import Any, Self
@@ -75,15 +75,21 @@ class Provenance:
         return {f"{METADATA_PREFIX}{key}": value for key, value in values.items()}
 
 
-def settings_hash(run: Mapping[str, Any], methods: Mapping[str, str] | None = None) -> str:
+def settings_hash(
+    run: Mapping[str, Any],
+    methods: Mapping[str, str] | None = None,
+    file_hashes: Mapping[str, Sequence[str]] | None = None,
+) -> str:
     """SHA-256 of sections `run` and `methods` of a settings.yaml in canonical JSON, without
-    settings of output files.
+    settings of output files, and of the content of the files that the run reads.
 
-    Two runs have the same hash if they read the same paths with the same options and methods,
+    `file_hashes` are the hashes of these files by setting, such as `rig`. Two runs have the same
+    hash if they read the same content from the same paths with the same options and methods,
     whatever they write.
     """
     hashed = {key: value for key, value in run.items() if key not in _NOT_HASHED}
-    text = _canonical({**hashed, "methods": methods} if methods else hashed)
+    others = {"methods": methods, "file_hashes": file_hashes}
+    text = _canonical({**hashed, **{key: value for key, value in others.items() if value}})
     return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
 
 

@@ -12,6 +12,19 @@ INPUT_FILES = FILES - RunSettings.fields_where(lambda field: option_of(field).is
 PATHS = RunSettings.fields_where(lambda field: value_type(field) is Path)
 
 
+def files_by_setting(settings: RunSettings) -> dict[str, list[Path]]:
+    """Files and folders that a run reads, by the name of the setting, or `left` and `right`; words
+    that are given instead of files name none.
+    """
+    sides = ("mono",) if settings.stereo is None else ("left", "right")
+    videos = {
+        side: source_of(video).files for side, video in zip(sides, settings.videos, strict=False)
+    }
+    named = {name: getattr(settings, name) for name in sorted(INPUT_FILES)}
+    given = {name: [Path(value)] for name, value in named.items() if value is not None}
+    return {**videos, **given}
+
+
 def input_files(settings: RunSettings) -> list[Path]:
     """All files that a run reads, and words given instead of files."""
     named = (getattr(settings, name) for name in RunSettings.model_fields if name in INPUT_FILES)

@@ -3,6 +3,7 @@ repeats the run.
 """
 
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,12 +50,17 @@ def read_settings(file: Path) -> dict[str, Any]:
 
 
 def save_settings(
-    settings: RunSettings, path: Path, *, detected: dict[str, Any] | None = None
+    settings: RunSettings,
+    path: Path,
+    *,
+    detected: dict[str, Any] | None = None,
+    file_hashes: Mapping[str, Sequence[str]] | None = None,
 ) -> None:
     """Write settings.yaml: the settings with absolute paths under `run`, properties of the inputs
     under `found`.
 
-    `methods` are the origins of the ranging methods that are not built in.
+    `methods` are the origins of the ranging methods that are not built in. `file_hashes` are the
+    hashes of the files that the run reads, which `settings_hash` covers.
     """
     from track_range.ranging.registry import origins  # imports numpy, which --help does not need
 
@@ -62,7 +68,7 @@ def save_settings(
     head = {
         "track_range_settings": 1,
         "schema_version": SCHEMA_VERSION,
-        "settings_hash": settings_hash(run, methods),
+        "settings_hash": settings_hash(run, methods, file_hashes),
     }
     others = ({"methods": methods} if methods else {}) | (
         {} if detected is None else {"found": detected}
