@@ -12,6 +12,7 @@ if TYPE_CHECKING:
         evaluate_events as events,
         evaluate_motion as motion,
         evaluate_ranges as ranges,
+        evaluate_run as run,
         evaluate_stereo as stereo,
         evaluate_tracks as tracks,
     )
@@ -26,7 +27,7 @@ _NAMES = LazyNames(
     __name__,
     {
         "track_range.api.evaluation": "tracks=evaluate_tracks ranges=evaluate_ranges stereo=evaluate_stereo "
-        "motion=evaluate_motion events=evaluate_events",
+        "motion=evaluate_motion events=evaluate_events run=evaluate_run",
         "track_range.detection.evaluation": "detections=evaluate_detections",
         "track_range.detection.evaluation.object_sizes": "detections_by_size=evaluate_by_size",
         "track_range.detection.evaluation.score_calibration": "score_calibration=evaluate_calibration",

@@ -4,8 +4,9 @@ label files.
 The distance is the z at which the ray through the label's box centre first meets the object, in the
 left camera's frame. A CSV file (`video_labels/csv_labels.py`) contains it, with the closing speed.
 KITTI's labels have 3-D boxes in the frame of the rig's reference camera, which are shifted into the
-frame of the left camera; people and riders do not fill their boxes. COCO, CVAT and YOLO labels are
-used as they are; they may have distances, as attributes.
+frame of the left camera, and 2-D boxes, which together determine the camera (`label_camera`), since
+what is true must not depend on the calibration of a run; people and riders do not fill their boxes.
+COCO, CVAT and YOLO labels are used as they are; they may have distances, as attributes.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -29,8 +31,10 @@ from track_range.detection.formats.tables.table_checks import (
 from track_range.detection.formats.video_labels.csv_labels import is_label_csv, read_csv_labels
 from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.ranging.truth.label_camera import camera_of_labels
 from track_range.ranging.truth.reference_distance import surface_distance_m
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.rig_formats.reading import left_from_reference_m, load_camera
 
 # largest KITTI occlusion level (partly occluded) that is scored for distance: others are guesses
 MAX_OCCLUDED = 1
@@ -58,6 +62,10 @@ LABELS_PROTOCOL = (  # ground truth of COCO, CVAT and YOLO labels
     "distance of the labels, if they have one (labels at 5-100 m, not truncated by the image "
     f"border; {_SCORED})"
 )
+_CAMERA_OF_RUN = (
+    "{name}: too few labels show their camera, so that the true distances follow from the camera of "
+    "the run; give --truth-calib."
+)
 _COLUMNS = ("frame", "track_id", "kitti_type", "class_id", "xyxy_px", "distance_m", "closing_mps")
 
 
@@ -76,7 +84,8 @@ class Truth:
     closing_mps: FloatArray
     protocol: str = KITTI_PROTOCOL  # description of the ground truth for users
     notes: tuple[str, ...] = ()  # notes for the user about the file
-    has_low_labels: bool = False  # whether low labels and tracks count, which KITTI's rules ignore
+    has_low_labels: bool = False  # whether labels and tracks below 25 px count
+    kitti: KittiLabels | None = None  # all labels of a file of KITTI, for its benchmark's rules
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -86,12 +95,19 @@ class Truth:
         return replace(self, **{name: getattr(self, name)[rows] for name in _COLUMNS})
 
 
-def read_truth(path: Path, camera: PinholeCamera, left_from_reference_m: FloatArray) -> Truth:
+def read_truth(
+    path: Path,
+    camera: PinholeCamera,
+    left_from_reference_m: FloatArray,
+    calib: Path | None = None,
+) -> Truth:
     """Ground truth for the left `camera` (undistorted) from a file of labels in any format, or a
     folder of YOLO labels.
 
     `left_from_reference_m` (3,) is the shift from the frame of KITTI's reference camera to the left
-    camera's frame. Raises LabelFileError if the file cannot be read, or has no identities, or no
+    camera's frame. The distances of KITTI's labels are those of the camera of `calib`, else of the
+    one that the labels determine, and only else of `camera`. Raises RigError: `calib` cannot be
+    used. Raises LabelFileError if the file cannot be read, or has no identities, or no
     distances (KITTI: no 3-D boxes), which are optional for COCO, CVAT and YOLO.
     """
     if os.path.isdir(path) or label_format_of(path, "ground truth").is_general:
@@ -99,8 +115,26 @@ def read_truth(path: Path, camera: PinholeCamera, left_from_reference_m: FloatAr
     return (
         _of_csv(path, camera)
         if is_label_csv(path)
-        else _of_kitti(path, camera, left_from_reference_m)
+        else _of_kitti(path, _Views((camera, left_from_reference_m), calib))
     )
+
+
+class _Views(NamedTuple):
+    """Cameras of labels, each with the shift (3,) from the frame of the 3-D boxes."""
+
+    of_run: tuple[PinholeCamera, FloatArray]
+    calib: Path | None  # of the labels; None = not given
+
+    def of_labels(
+        self, labels: KittiLabels, path: Path
+    ) -> tuple[PinholeCamera, FloatArray, tuple[str, ...]]:
+        """The camera that the true distances belong to, its shift, and notes."""
+        if self.calib is not None:
+            camera, _ = load_camera(self.calib, size_px=self.of_run[0].size_px)
+            return camera, left_from_reference_m(self.calib, is_grey=False), ()
+        if (known := camera_of_labels(labels, self.of_run[0].size_px)) is not None:
+            return *known, ()
+        return *self.of_run, (_CAMERA_OF_RUN.format(name=path.name),)
 
 
 def _of_table(path: Path, camera: PinholeCamera) -> Truth:
@@ -163,7 +197,7 @@ def _of_csv(path: Path, camera: PinholeCamera) -> Truth:
     )
 
 
-def _of_kitti(path: Path, camera: PinholeCamera, left_from_reference_m: FloatArray) -> Truth:
+def _of_kitti(path: Path, views: _Views) -> Truth:
     labels = read_kitti(path)
     if not labels.has_3d_box.any():
         raise LabelFileError(
@@ -193,9 +227,8 @@ def _of_kitti(path: Path, camera: PinholeCamera, left_from_reference_m: FloatArr
         & (labels.occluded >= 0)
         & (labels.occluded <= MAX_OCCLUDED)
     )
-    distance_m = np.where(
-        scored, surface_of_labels_m(labels, camera, left_from_reference_m), np.nan
-    )
+    camera, shift_m, notes = views.of_labels(labels, path)
+    distance_m = np.where(scored, surface_of_labels_m(labels, camera, shift_m), np.nan)
     road = map_to_road_classes([str(name) for name in labels.kitti_type])
     return Truth(
         frame=labels.frame,
@@ -205,6 +238,8 @@ def _of_kitti(path: Path, camera: PinholeCamera, left_from_reference_m: FloatArr
         xyxy_px=labels.xyxy_px,
         distance_m=distance_m,
         closing_mps=np.full(len(labels), np.nan),
+        notes=notes,
+        kitti=labels,
     )
 
 

@@ -28,6 +28,7 @@ MOST_STATEMENTS = {
     "detection": 8_496,
     # riders whose name changes (17)
     # a similarity by sums, given up early (21); the second class of a track in doubt (23)
+    # all classes of KITTI's benchmark at once (8)
     "tracking": 1_624,  # frames that could not show small objects (4)
     # packed assignments became a line for each value (50); the alignment below rigs (10); what a
     # pair shows and its consequence apart (10); guesses of focal lengths and the ego speed, which
@@ -107,8 +108,10 @@ MOST_STATEMENTS = {
     # the sizes of both classes of a track in doubt (6)
     # the states of all filters in one array (9), scales and sums once per evaluation of the cameras
     # (31), and fusion, warnings and the world by columns (70)
+    # the camera that labels determine (50)
     "ranging": 7_571,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
+    # `evaluate.run` (4)
     "api": 107,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)
@@ -128,6 +131,7 @@ MOST_STATEMENTS = {
     # a table by drive of labelled distances (25)
     # tables by cell, and by drive where there are several (12)
     # names of cameras of a fleet's check (1)
+    # `evaluate run` (15)
     "cli": 2_478,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
@@ -136,6 +140,7 @@ MOST_STATEMENTS = {
     # errors and sigmas of motion by cell and by drive (66)
     # the rate of labels is no rate of files (2)
     # names of class numbers of `track` (2)
+    # a finished run against ground truth (25)
     "evaluation": 1_849,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     # earlier names of columns (4)
@@ -194,6 +199,7 @@ MOST_STATEMENTS = {
     # columns that were added after all others, before those of packages (2)
     # settings of events check themselves (3)
     # columns read at once by kind, and lines formatted at once (48)
+    # a finished run is evaluated again (20)
     "results": 2_729,
     # imports of one file for each idea of the settings (45); the parts of a run report, each in a class
     # of its own with what it imports (205); the options of its recording (15); notes on packages

@@ -4,9 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.detection.formats.video_labels.mot import MotRows
-from track_range.tracking.evaluation.benchmark_rules import kitti_cleaned, mot_cleaned
+from track_range.tracking.evaluation.benchmark_rules import (
+    kitti_cleaned,
+    kitti_cleaned_classes,
+    mot_cleaned,
+)
 from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes
 
 
@@ -106,3 +111,18 @@ def test_mot17_distractors_in_several_frames():
     boxes = TrackedBoxes(np.array([2, 0, 1, 0, 3]), np.arange(5), xyxy_px, np.zeros(5, np.int64))
     _, counted = mot_cleaned(truth, boxes)
     assert counted.track_id.tolist() == [3, 4]  # the others lie on distractors of their frame
+
+
+def test_all_classes_of_kitti_at_once():
+    """Each class by its rules: tracks of a class without truth do not count, ids stay."""
+    labels = kitti(
+        ("Car", 0, 0, 0), ("Van", 100, 0, 0), ("Pedestrian", 200, 0, 0), ("Pedestrian", 300, 0, 3)
+    )
+    car, person, bicycle = (ROAD_CLASSES.index(name) for name in ("car", "person", "bicycle"))
+    boxes = results(*((x, 0, x + 40, 40) for x in (0, 100, 200, 300, 500)))
+    boxes = replace(boxes, class_id=np.array([car, car, person, person, bicycle]))
+    truth, counted = kitti_cleaned_classes(labels, boxes)
+    assert (truth.track_id.tolist(), truth.class_id.tolist()) == ([0, 2], [car, person])
+    assert counted.track_id.tolist() == [50, 52]
+    none, nothing = kitti_cleaned_classes(labels.select(slice(1, 2)), boxes)
+    assert (len(none), len(nothing)) == (0, 0)

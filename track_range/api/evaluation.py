@@ -11,6 +11,10 @@ from track_range.evaluation.events.evaluate import evaluate_events as _evaluate_
 from track_range.evaluation.events.settings import EventEvaluationSettings
 from track_range.evaluation.motion.evaluate import evaluate_motion as _evaluate_motion
 from track_range.evaluation.motion.settings import MotionEvaluationSettings
+from track_range.evaluation.run_evaluation import (
+    RunEvaluationSettings,
+    evaluate_run as _evaluate_run,
+)
 from track_range.evaluation.sequences.evaluation import evaluate_tracks as _evaluate_tracks
 from track_range.evaluation.sequences.settings import TrackEvaluationSettings
 from track_range.evaluation.stereo_evaluation import evaluate_stereo as _evaluate_stereo
@@ -37,6 +41,26 @@ def evaluate_ranges(labels: str | Path, calib: str | Path, **options: Any) -> di
     return _evaluate_ranges(
         RangeEvaluationSettings.of({"labels": labels, "calib": calib, **options})
     )
+
+
+@KeywordsInErrors(RunEvaluationSettings)
+def evaluate_run(
+    folder: str | Path, truth: str | Path | None = None, **options: Any
+) -> dict[str, Any]:
+    """Errors of the distances, closing speeds and tracks of a finished run, without its images; like
+    `track-range evaluate run --json`.
+
+    Args:
+        folder: result folder of the run.
+        truth: labels or a table of targets; None = the ground truth of the run.
+        options: options of the command, with underscores: `truth_calib="calib.txt"`, `store=True`.
+
+    Raises:
+        UsageError: an option is unknown or invalid, or there is no ground truth.
+        OutputError, LabelFileError, RigError: a file cannot be used.
+    """
+    given = {"folder": folder, "truth": truth, **options}
+    return _evaluate_run(RunEvaluationSettings.of(given))
 
 
 @KeywordsInErrors(MotionEvaluationSettings)

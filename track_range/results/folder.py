@@ -45,8 +45,7 @@ from track_range.results.summary import (
     MatchedTruth,
     events_section,
     matched_truth,
-    range_scores,
-    track_scores,
+    truth_figures,
     with_truth,
 )
 from track_range.results.summary_shape import valid_summary
@@ -71,6 +70,9 @@ _MAX_NAMED = 5  # values of wrong types that a note names
 _MAX_BEYOND_S = 1.0  # tolerance for events after the last row or the end of the video
 # without a rate in settings.yaml, as for folders; largest plausible rate
 DEFAULT_FPS, _MAX_FPS = 10.0, 10_000.0
+EVALUATION_FILE = "evaluation.json"
+# its sections, in place of those of summary.json
+_EVALUATED = ("methods", "common", "closing", "tracks", "truth")
 # settings that are inputs of a run
 _INPUTS = ("mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
 
@@ -111,6 +113,20 @@ class DetectedCamera(BaseModel):
         )
 
 
+def truth_of(settings: Sections, detected: Sections) -> Truth:
+    """Ground truth of the options `truth` and `truth_calib`, for a run with this section `found` of
+    its settings.yaml.
+
+    Raises LabelFileError, RigError: a file cannot be used; OutputError: the section is damaged.
+    """
+    facts = validated(DetectedCamera, detected, "settings.yaml, found", OutputError)
+    shift_m, calib = np.zeros(3), settings.get("truth_calib")
+    if facts.rig and facts.rig.is_file():
+        shift_m = left_from_reference_m(facts.rig, is_grey=False, size_px=facts.image_size_px)
+    given = None if calib is None else Path(str(calib))
+    return read_truth(Path(str(settings["truth"])), facts.camera(), shift_m, given)
+
+
 def read_run_folder(folder: Path, *, is_rounded: bool = True, has_events: bool = True) -> RunFolder:
     """Read the files of a run; OutputError if there is no run, or if the file of its rows has other
     columns.
@@ -148,6 +164,19 @@ class _Reader:
             recorded_hash if isinstance(recorded_hash, str) else settings_hash(self.settings)
         )
         self.fps = float(fps) if isinstance(fps, int | float) and 0 < fps <= _MAX_FPS else None
+        self._use_evaluation(folder / EVALUATION_FILE)
+
+    def _use_evaluation(self, file: Path) -> None:
+        """Replace the figures and the ground truth by those of a later evaluation of the run."""
+        if not file.exists():
+            return
+        evaluation = read_json(file, OutputError, "an evaluation of the run")
+        evaluation = evaluation if isinstance(evaluation, dict) else {}
+        sections = {key: evaluation[key] for key in _EVALUATED if key in evaluation}
+        self.settings |= _section(evaluation, "settings")
+        if self.summary is not None:
+            self.summary = {key: self.summary[key] for key in self.summary if key not in _EVALUATED}
+            self.summary |= sections
 
     def _read_summary(self) -> dict[str, Any] | None:
         file = self.folder / "summary.json"
@@ -237,13 +266,7 @@ class _Reader:
         if not self.settings.get("truth"):
             return None
         try:
-            facts = validated(DetectedCamera, self.detected, "settings.yaml, found", OutputError)
-            shift_m = np.zeros(3)
-            if facts.rig:
-                shift_m = left_from_reference_m(
-                    facts.rig, is_grey=False, size_px=facts.image_size_px
-                )
-            return read_truth(Path(str(self.settings["truth"])), facts.camera(), shift_m)
+            return truth_of(self.settings, self.detected)
         except (LabelFileError, RigError, OutputError) as error:
             reason = str(error).rstrip(".")
             self.missing.append(
@@ -307,10 +330,8 @@ class _Reader:
             inputs = {"left": stereo[0], "right": stereo[1], **inputs}
         return {
             "frames": (last - first) // every + 1,
-            **range_scores(rows, matched, methods),
-            "tracks": track_scores(rows, truth, labelled),
+            **truth_figures(rows, matched, methods, labelled),
             "closest_approaches": closest_approaches(rows),
-            "truth": truth.protocol if truth is not None else None,
             "inputs": inputs,
             "files": {"overlay": "overlay.mp4"} if self.settings.get("overlay", True) else {},
         }

@@ -28,9 +28,18 @@ from track_range.results.events.event import EVENT_KINDS, Event, severity_key
 from track_range.results.events.files import rounded_values
 from track_range.results.rows.columns import methods_with_sigma
 from track_range.results.rows.rows import Rows
-from track_range.tracking.evaluation.benchmark_rules import MIN_HEIGHT_PX
+from track_range.tracking.evaluation.benchmark_rules import (
+    KITTI_RULE,
+    MIN_HEIGHT_PX,
+    kitti_cleaned_classes,
+)
 from track_range.tracking.evaluation.scores import evaluate_tracks
 from track_range.tracking.evaluation.tracked_boxes import IgnoreRegions, TrackedBoxes
+
+_HEIGHT_RULE = (
+    f"labels and unmatched tracks below {MIN_HEIGHT_PX:g} px, and labels of other classes, do not "
+    "count"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,10 +112,11 @@ def range_scores(
 
 def track_scores(rows: Rows, truth: Truth | None, frames: IntArray) -> dict[str, Any]:
     """Section `tracks`: the number of tracks and, with ground truth, the MOT metrics over its
-    classes.
+    classes, and the `rule` of what counts.
 
-    As in KITTI's benchmark, labels less than 25 px high are ignored, and so are unmatched tracks
-    less than 25 px high, unless `truth.has_low_labels`.
+    KITTI's labels are evaluated by the rules of its benchmark, as `evaluate tracks` does. Otherwise
+    labels less than 25 px high are ignored, and so are unmatched tracks less than 25 px high, unless
+    `truth.has_low_labels`.
     """
     track_id = rows["track_id"]
     counts: dict[str, Any] = {
@@ -117,27 +127,63 @@ def track_scores(rows: Rows, truth: Truth | None, frames: IntArray) -> dict[str,
     }
     if truth is None:
         return counts
-    truth = truth.select(np.isin(truth.frame, frames))
-    min_height_px = 0.0 if truth.has_low_labels else MIN_HEIGHT_PX
-    counted = (truth.class_id >= 0) & (truth.xyxy_px[:, 3] - truth.xyxy_px[:, 1] >= min_height_px)
     class_id = map_to_road_classes([str(name) for name in rows["class"]])
     tracks = TrackedBoxes(rows["frame"], track_id, rows.boxes_px, class_id)
-    low = tracks.xyxy_px[:, 3] - tracks.xyxy_px[:, 1] < min_height_px
-    ignored_frame = np.concatenate([truth.frame[~counted], tracks.frame[low]])
-    ignored_px = np.concatenate([truth.xyxy_px[~counted], tracks.xyxy_px[low]])
-    labels = truth.select(counted)
-    scores = evaluate_tracks(
-        TrackedBoxes(labels.frame, labels.track_id, labels.xyxy_px, labels.class_id),
-        tracks.select(np.isin(class_id, labels.class_id)),
-        ignore=IgnoreRegions(ignored_frame, ignored_px),
-    )
+    if truth.kitti is None:
+        labels, tracks, ignored = _counted(truth.select(np.isin(truth.frame, frames)), tracks)
+        rule = "all labels and tracks count" if truth.has_low_labels else _HEIGHT_RULE
+    else:
+        of_frames = truth.kitti.select(np.isin(truth.kitti.frame, frames))
+        labels, tracks = kitti_cleaned_classes(of_frames, tracks)
+        rule, ignored = KITTI_RULE, None
+    scores = evaluate_tracks(labels, tracks, ignore=ignored)
     figures = {
         name: None if np.isnan(value) else round(value, 4)  # NaN = a ratio with denominator 0
         for name, value in asdict(scores).items()
         if name != "n"
     }
     classes = [ROAD_CLASSES[class_id] for class_id in np.unique(labels.class_id)]
-    return {**counts, **figures, "n_truth_boxes": scores.n, "classes": classes}
+    return {
+        **counts,
+        **figures,
+        "n_truth_boxes": scores.n,
+        "n_truth_tracks": len(np.unique(labels.track_id)),
+        "classes": classes,
+        "rule": rule,
+    }
+
+
+def _counted(
+    truth: Truth, tracks: TrackedBoxes
+) -> tuple[TrackedBoxes, TrackedBoxes, IgnoreRegions]:
+    """Labels and tracks of the road classes that have labels, and where unmatched tracks are
+    ignored.
+    """
+    min_height_px = 0.0 if truth.has_low_labels else MIN_HEIGHT_PX
+    counted = (truth.class_id >= 0) & (truth.xyxy_px[:, 3] - truth.xyxy_px[:, 1] >= min_height_px)
+    low = tracks.xyxy_px[:, 3] - tracks.xyxy_px[:, 1] < min_height_px
+    ignored_frame = np.concatenate([truth.frame[~counted], tracks.frame[low]])
+    ignored_px = np.concatenate([truth.xyxy_px[~counted], tracks.xyxy_px[low]])
+    labels = truth.select(counted)
+    return (
+        TrackedBoxes(labels.frame, labels.track_id, labels.xyxy_px, labels.class_id),
+        tracks.select(np.isin(tracks.class_id, labels.class_id)),
+        IgnoreRegions(ignored_frame, ignored_px),
+    )
+
+
+def truth_figures(
+    rows: Rows, matched: MatchedTruth | None, methods: Collection[str], frames: IntArray
+) -> dict[str, Any]:
+    """Sections that compare the rows of the processed `frames` with ground truth, None = none:
+    `methods`, `common`, `closing`, `tracks`, and the description `truth`.
+    """
+    truth = None if matched is None else matched.truth
+    return {
+        **range_scores(rows, matched, methods),
+        "tracks": track_scores(rows, truth, frames),
+        "truth": None if truth is None else truth.protocol,
+    }
 
 
 def events_section(events: Sequence[Event], seconds: float) -> dict[str, Any]:

@@ -117,7 +117,7 @@ _SUMMARY = _section(
     utc=_section(**_all(Text, "start source"), uncertainty_s=Figure) | None,
     ego_speed=_section(source=Text, **_all(Figure, "offset_s offset_sigma_s median_mps coverage"))
     | None,
-    tracks=_section(_Figures, classes=list[Text] | None) | None,
+    tracks=_section(_Figures, classes=list[Text] | None, rule=Text) | None,
     events=_section(
         **_all(Figure, "n hours"), by_kind=dict[str, Figure], worst=dict[str, Any] | None
     )

@@ -44,7 +44,7 @@ _RUN_FILES = (  # besides those of its writers
         "disparity.mp4",
         "report.html",
     ),
-    *("events.csv", "events.parquet", "telemetry.csv"),
+    *("events.csv", "events.parquet", "telemetry.csv", "evaluation.json"),
 )
 
 

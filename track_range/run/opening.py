@@ -104,9 +104,9 @@ def open_run(
             )
         if box_source.fixed_parts is not None:
             box_source = replace(box_source, fixed_parts=shown_fixed_parts(recording, again))
-        calibration, path = recording.calibration, settings.truth
+        calibration, path, calib = recording.calibration, settings.truth, settings.truth_calib
         shift_m = calibration.left_from_reference_m
-        truth = None if path is None else read_truth(path, calibration.camera, shift_m)
+        truth = None if path is None else read_truth(path, calibration.camera, shift_m, calib)
         region = settings.region or _region_of(speed.track)
         # frames at the pace of a camera do not wait, and are not the same in another run
         is_live = recording.live is not None or settings.realtime

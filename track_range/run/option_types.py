@@ -73,6 +73,7 @@ class RunKeywords(PipelineKeywords, total=False):
     start_utc: str | None
     ego_speed: str | Path | float | None
     truth: str | Path | None
+    truth_calib: str | Path | None
     detections: str | Path | None
     align: str | Path | None
     out: str | Path | None

@@ -102,7 +102,6 @@ class RunSession:
             still_boxes.StillBoxes(recorded, self.recording.calibration),
         )
         facts = {
-            "truth": None if truth is None else truth.protocol,
             "notes": self.notes,
             "inputs": self.origin.inputs,
             "files": dict(videos),

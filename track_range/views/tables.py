@@ -170,6 +170,7 @@ _MOT_FIGURES = (
         ("false positives", "fp"),
         ("false negatives", "fn"),
         ("true boxes", "n_truth_boxes"),
+        ("true tracks", "n_truth_tracks"),
     ),
     *(("mostly tracked", "mt"), ("partly tracked", "pt"), ("mostly lost", "ml")),
 )

@@ -14,11 +14,13 @@ KITTI's development kit, and MOTChallenge; TrackEval implements them in `kitti_2
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from track_range.detection.boxes import fraction_inside, iou
+from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.detection.formats.video_labels.mot import MotRows
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
@@ -36,6 +38,12 @@ KITTI_TYPES: Mapping[str, tuple[str, tuple[str, ...]]] = {
 }
 # largest occlusion level and truncation of KITTI's truth that counts
 _MAX_OCCLUDED, _MAX_TRUNCATED = 2, 0.0
+# for users, of the evaluations of tracks against KITTI's labels and those of MOTChallenge
+KITTI_RULE = (
+    "KITTI's tracking benchmark: labels that are truncated or more than largely occluded, types such "
+    "as Van, DontCare regions, and unmatched tracks up to 25 px high do not count"
+)
+MOT_RULE = "MOTChallenge: people who are flagged as evaluated count, distractors do not"
 MIN_HEIGHT_PX = 25.0  # height up to which KITTI ignores unmatched results
 _MOT_PEDESTRIAN = 1  # MOTChallenge's class number of pedestrians
 _MOT_DISTRACTORS = (2, 7, 8, 12)  # person on a vehicle, static person, distractor, reflection
@@ -72,6 +80,28 @@ def kitti_cleaned(
         is_counted[rows[unmatched[is_low | is_ignored]]] = False
     truth = _truth(labels.frame, labels.track_id, labels.xyxy_px, is_class & is_clear, results)
     return truth, results.select(is_counted)
+
+
+def kitti_cleaned_classes(
+    labels: KittiLabels, results: TrackedBoxes
+) -> tuple[TrackedBoxes, TrackedBoxes]:
+    """`kitti_cleaned` for each class of KITTI with truth that counts; results of the other classes
+    do not count.
+    """
+    cleaned = {
+        name: kitti_cleaned(
+            labels, results.select(results.class_id == ROAD_CLASSES.index(name)), name
+        )
+        for name in KITTI_TYPES
+    }
+    present = {name: both for name, both in cleaned.items() if len(both[0])}
+    truths = [
+        replace(truth, class_id=np.full(len(truth), ROAD_CLASSES.index(name)))
+        for name, (truth, _) in present.items()
+    ]
+    return TrackedBoxes.joined(truths), TrackedBoxes.joined(
+        [tracks for _, tracks in present.values()]
+    )
 
 
 def of_kitti_type(labels: KittiLabels, types: Sequence[str]) -> BoolArray:

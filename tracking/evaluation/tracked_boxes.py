@@ -7,7 +7,8 @@ numbered from 0. IgnoreRegions are the regions in which results are ignored.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -35,6 +36,17 @@ class TrackedBoxes:
 
     def __len__(self) -> int:
         return len(self.frame)
+
+    @classmethod
+    def joined(cls, parts: Sequence[TrackedBoxes]) -> TrackedBoxes:
+        """The rows of all parts, one after another."""
+        none = np.zeros(0, np.int64)
+        empty = cls(none, none, np.zeros((0, 4)), none)
+        columns = (
+            np.concatenate([getattr(part, one.name) for part in (empty, *parts)])
+            for one in fields(cls)
+        )
+        return cls(*columns)
 
     def select(self, rows: BoolArray | IntArray | slice) -> TrackedBoxes:
         """The rows that a mask, an index array or a slice selects, in its order."""

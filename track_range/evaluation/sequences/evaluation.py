@@ -26,7 +26,9 @@ from track_range.foundation.arrays import IntArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import counted, real_path
 from track_range.tracking.evaluation.benchmark_rules import (
+    KITTI_RULE,
     KITTI_TYPES,
+    MOT_RULE,
     kitti_cleaned,
     mot_cleaned,
     of_kitti_type,
@@ -37,6 +39,8 @@ from track_range.tracking.evaluation.scores import TrackingCounts
 from track_range.tracking.evaluation.tracked_boxes import Similarity, TrackedBoxes
 
 _DUPLICATE = "expected each track id at most once per frame, found a duplicate."
+
+_NO_RULE = "all labels and tracks of the class count"
 
 # metrics that are counts; the others are in per cent
 COUNTS = ("idsw", "fp", "fn", "frag", "mt", "pt", "ml", "n")
@@ -56,6 +60,7 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
     tracked = find.find_sequences(results_folder, "det")
     pairs = find.paired(labelled, tracked)
     is_challenge = form == "mot" and all(_is_mot_challenge(labels.path) for labels in labelled)
+    rule = KITTI_RULE if form == "kitti" else MOT_RULE if is_challenge else _NO_RULE
     if form == "kitti" or is_challenge:
         notes: list[str] = []
         name = _class_of(form, settings.road_class, [labels.path for labels, _ in pairs])
@@ -74,6 +79,7 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
         "results": str(results),
         "format": form,
         "class": name,
+        "rule": rule,
         "combined": _without_nan(asdict(combined.scores())),
         "sequences": {key: _without_nan(asdict(value.scores())) for key, value in counts.items()},
         "notes": [

@@ -12,7 +12,6 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import InstanceOf, field_serializer, field_validator
 
-from track_range.detection.formats.titles import GENERAL_TITLES
 from track_range.foundation.errors import ConfigError
 from track_range.foundation.schemas.options import Options, option
 from track_range.recording.sources.names import VideoName, source_of, video_name
@@ -225,15 +224,6 @@ class InputOptions(Options):
             is_file=True,
         ),
     ] = "auto"
-    truth: Annotated[
-        Path | None,
-        _clip_option(
-            "Ground truth to measure the errors against: KITTI tracking labels, or a CSV with the "
-            "columns frame, id, class, x1, y1, x2, y2, distance_m and optionally visible_share, "
-            f"closing_mps (other columns are ignored); or labels with track ids: {GENERAL_TITLES}.",
-            instead="ground truth belongs to a clip; give it in the column truth of a manifest",
-        ),
-    ] = None
 
     @field_validator("stereo", mode="before")
     @classmethod

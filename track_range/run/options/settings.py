@@ -16,6 +16,7 @@ from track_range.run.options.detection import DetectionOptions, TrackingOptions
 from track_range.run.options.input import InputOptions
 from track_range.run.options.output import OutputOptions
 from track_range.run.options.ranging import RangingOptions
+from track_range.run.options.truth import TruthOptions
 
 if TYPE_CHECKING:
     from track_range.recording.video.options import RecordingOptions
@@ -26,7 +27,7 @@ class PipelineOptions(RangingOptions, TrackingOptions, DetectionOptions):
     """Options of the processing of a frame, whether the frame comes from a file or from memory."""
 
 
-class RunSettings(OutputOptions, PipelineOptions, InputOptions):
+class RunSettings(OutputOptions, PipelineOptions, TruthOptions, InputOptions):
     """All settings that determine the results of a run: options of `track-range run` and keys of
     settings.yaml.
     """

@@ -13,8 +13,7 @@ from track_range.results.summary import (
     MatchedTruth,
     events_section,
     matched_truth,
-    range_scores,
-    track_scores,
+    truth_figures,
     with_truth,
 )
 from track_range.results.table import RunRows
@@ -41,11 +40,10 @@ class RowFigures(Reports):
         return self.recorded if self.matched is None else with_truth(self.recorded, self.matched)
 
     def summary(self) -> Mapping[str, Any]:
-        """Sections `methods`, `common`, `closing`, `tracks`, `closest_approaches` and `events`."""
+        """Sections `methods`, `common`, `closing`, `tracks`, `truth`, `closest_approaches` and `events`."""
         rows, frames = self.rows, np.array(self.rows.frame_index, np.int64)
         return {
-            **range_scores(self.recorded, self.matched, rows.methods),
-            "tracks": track_scores(self.recorded, self.truth, frames),
+            **truth_figures(self.recorded, self.matched, rows.methods, frames),
             "closest_approaches": closest_approaches(self.recorded),
             "events": events_section(rows.events, rows.seconds),
         }

@@ -157,6 +157,7 @@ def report_page(
         speed=speed,
         mot=mot,
         mot_classes=tracks.get("classes") or [],
+        mot_rule=tracks.get("rule"),
         sigma_sentences=sentences.sigma_sentences(summary),
         geometry=geometry,
         camera=camera_picture(summary),

@@ -6,6 +6,16 @@ from track_range.cli.shared.lazy import Lazy, lazy_app
 
 app = lazy_app(
     {
+        "run": Lazy(
+            "track_range.cli.commands.evaluate.run",
+            "Errors of the distances, closing speeds and tracks of a finished run.",
+            "The rows in the folder of the run are compared with ground truth, without images. "
+            "True distances do not depend on the calibration of the run.",
+            (
+                "track-range evaluate run drive-track-range --truth label.txt",
+                "track-range evaluate run drive-track-range --truth radar.csv --store",
+            ),
+        ),
         "tracks": Lazy(
             "track_range.cli.commands.evaluate.tracks",
             "HOTA, MOTA, IDF1 and related metrics of tracks.",

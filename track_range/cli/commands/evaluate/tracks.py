@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files
-from track_range.cli.shared.console import console, print_grid, print_notes
+from track_range.cli.shared.console import console, print_grid, print_line, print_notes
 from track_range.cli.shared.parameters import command
 from track_range.evaluation.sequences.evaluation import COUNTS, evaluate_tracks
 from track_range.evaluation.sequences.settings import TrackEvaluationSettings
@@ -30,6 +30,7 @@ def _tracks(options: TracksOptions) -> None:
     figures = evaluate_tracks(options)
     print_notes(console, figures["notes"])
     print_grid(console, _grid(figures))
+    print_line(console, f"Rule: {figures['rule']}.")
     if options.compare is not None:
         _print_comparison(figures)
     write_json(options.json_file, figures)

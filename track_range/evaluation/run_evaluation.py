@@ -1,0 +1,62 @@
+"""Evaluation of a finished run against ground truth, from the files in its folder, without images."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+from track_range.foundation.errors import UsageError
+from track_range.foundation.files.output_files import write_json
+from track_range.foundation.schemas.options import option
+from track_range.results.folder import EVALUATION_FILE, read_run_folder, truth_of
+from track_range.results.summary import matched_truth, truth_figures
+from track_range.run.export.source import processed_frames
+from track_range.run.options.truth import TruthOptions
+
+
+class RunEvaluationSettings(TruthOptions):
+    """The run and the ground truth of `track-range evaluate run`."""
+
+    folder: Annotated[
+        Path,
+        option("Result folder of a run.", metavar="DIR", is_argument=True),
+    ]
+    store: Annotated[
+        bool,
+        option(
+            f"Figures and ground truth also in the folder, as {EVALUATION_FILE}, which `report` and "
+            "`check` then use in place of those of the run."
+        ),
+    ] = False
+
+
+def evaluate_run(settings: RunEvaluationSettings) -> dict[str, Any]:
+    """Sections `methods`, `common`, `closing` and `tracks` as in summary.json, with the ground truth
+    and notes, as JSON values.
+
+    Without a ground truth in the settings, it is that of the run. Raises OutputError: the folder has
+    no run, or cannot be written to; LabelFileError, RigError: the ground truth or its calibration
+    cannot be used; UsageError: there is no ground truth.
+    """
+    run = read_run_folder(settings.folder, has_events=False)
+    names = TruthOptions.model_fields
+    chosen = settings.model_dump(mode="json", include=set(names), exclude_none=True)
+    for name in {"truth", "truth_calib"} & chosen.keys():
+        chosen[name] = str(Path(chosen[name]).resolve())
+    given = chosen if settings.truth else {**run.settings, **chosen}
+    if not given.get("truth"):
+        raise UsageError("--truth: expected the file of the ground truth, since the run had none.")
+    truth = truth_of(given, run.detected)
+    frames = np.array(processed_frames(run, is_live=False), np.int64)
+    matched = matched_truth(run.rows, truth)
+    methods = tuple(run.summary.get("methods") or run.rows.methods_measured)
+    figures = {
+        "run": str(settings.folder),
+        "settings": {name: given[name] for name in names if name in given},
+        "frames": len(frames),
+        **truth_figures(run.rows, matched, methods, frames),
+        "notes": [*run.missing, *truth.notes],
+    }
+    if settings.store:
+        write_json(settings.folder / EVALUATION_FILE, figures)
+    return figures
