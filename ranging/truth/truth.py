@@ -122,7 +122,7 @@ def read_truth(
 class _Views(NamedTuple):
     """Cameras of labels, each with the shift (3,) from the frame of the 3-D boxes."""
 
-    of_run: tuple[PinholeCamera, FloatArray]
+    run_view: tuple[PinholeCamera, FloatArray]
     calib: Path | None  # of the labels; None = not given
 
     def of_labels(
@@ -130,11 +130,11 @@ class _Views(NamedTuple):
     ) -> tuple[PinholeCamera, FloatArray, tuple[str, ...]]:
         """The camera that the true distances belong to, its shift, and notes."""
         if self.calib is not None:
-            camera, _ = load_camera(self.calib, size_px=self.of_run[0].size_px)
+            camera, _ = load_camera(self.calib, size_px=self.run_view[0].size_px)
             return camera, left_from_reference_m(self.calib, is_grey=False), ()
-        if (known := camera_of_labels(labels, self.of_run[0].size_px)) is not None:
+        if (known := camera_of_labels(labels, self.run_view[0].size_px)) is not None:
             return *known, ()
-        return *self.of_run, (_CAMERA_OF_RUN.format(name=path.name),)
+        return *self.run_view, (_CAMERA_OF_RUN.format(name=path.name),)
 
 
 def _of_table(path: Path, camera: PinholeCamera) -> Truth:

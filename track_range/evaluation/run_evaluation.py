@@ -1,11 +1,13 @@
 """Evaluation of a finished run against ground truth, from the files in its folder, without images."""
 
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 
 from track_range.foundation.errors import UsageError
+from track_range.foundation.files.input_files import real_path
 from track_range.foundation.files.output_files import write_json
 from track_range.foundation.schemas.options import option
 from track_range.results.folder import EVALUATION_FILE, read_run_folder, truth_of
@@ -42,7 +44,7 @@ def evaluate_run(settings: RunEvaluationSettings) -> dict[str, Any]:
     names = TruthOptions.model_fields
     chosen = settings.model_dump(mode="json", include=set(names), exclude_none=True)
     for name in {"truth", "truth_calib"} & chosen.keys():
-        chosen[name] = str(Path(chosen[name]).resolve())
+        chosen[name] = os.fspath(real_path(Path(chosen[name])))
     given = chosen if settings.truth else {**run.settings, **chosen}
     if not given.get("truth"):
         raise UsageError("--truth: expected the file of the ground truth, since the run had none.")

@@ -40,6 +40,7 @@ from track_range.tracking.evaluation.tracked_boxes import Similarity, TrackedBox
 
 _DUPLICATE = "expected each track id at most once per frame, found a duplicate."
 
+_RULES = {"kitti": KITTI_RULE, "mot": MOT_RULE}
 _NO_RULE = "all labels and tracks of the class count"
 
 # metrics that are counts; the others are in per cent
@@ -60,8 +61,8 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
     tracked = find.find_sequences(results_folder, "det")
     pairs = find.paired(labelled, tracked)
     is_challenge = form == "mot" and all(_is_mot_challenge(labels.path) for labels in labelled)
-    rule = KITTI_RULE if form == "kitti" else MOT_RULE if is_challenge else _NO_RULE
-    if form == "kitti" or is_challenge:
+    has_rules = form == "kitti" or is_challenge
+    if has_rules:
         notes: list[str] = []
         name = _class_of(form, settings.road_class, [labels.path for labels, _ in pairs])
         boxes = {labels.name: _cleaned(labels, tracks, form, name) for labels, tracks in pairs}
@@ -79,7 +80,7 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
         "results": str(results),
         "format": form,
         "class": name,
-        "rule": rule,
+        "rule": _RULES[form] if has_rules else _NO_RULE,
         "combined": _without_nan(asdict(combined.scores())),
         "sequences": {key: _without_nan(asdict(value.scores())) for key, value in counts.items()},
         "notes": [
