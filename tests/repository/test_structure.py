@@ -29,7 +29,7 @@ MOST_STATEMENTS = {
     # riders whose name changes (17)
     # a similarity by sums, given up early (21); the second class of a track in doubt (23)
     # all classes of KITTI's benchmark at once (8)
-    "tracking": 1_624,  # frames that could not show small objects (4)
+    "tracking": 1_639,  # frames that could not show small objects (4)
     # packed assignments became a line for each value (50); the alignment below rigs (10); what a
     # pair shows and its consequence apart (10); guesses of focal lengths and the ego speed, which
     # recordings need (60); values of calibrations that know their file and key, and a module for
@@ -109,10 +109,10 @@ MOST_STATEMENTS = {
     # the states of all filters in one array (9), scales and sums once per evaluation of the cameras
     # (31), and fusion, warnings and the world by columns (70)
     # the camera that labels determine (50)
-    "ranging": 7_571,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 7_631,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
-    "api": 107,  # names that are imported when they are used, and their former names (22)
+    "api": 111,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)
     # a recording counts once, and a measured height is kept (12)
@@ -132,7 +132,7 @@ MOST_STATEMENTS = {
     # tables by cell, and by drive where there are several (12)
     # names of cameras of a fleet's check (1)
     # `evaluate run` (15)
-    "cli": 2_478,
+    "cli": 2_497,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (143), several drives together, and intervals of rates (49)
@@ -141,7 +141,7 @@ MOST_STATEMENTS = {
     # the rate of labels is no rate of files (2)
     # names of class numbers of `track` (2)
     # a finished run against ground truth (25)
-    "evaluation": 1_849,  # times and region of labelled motion, and every class of nuScenes (10)
+    "evaluation": 1_884,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     # earlier names of columns (4)
     "fleet": 3_243,  # what a lost worker counts as is a function that tests call (5)
@@ -200,7 +200,7 @@ MOST_STATEMENTS = {
     # settings of events check themselves (3)
     # columns read at once by kind, and lines formatted at once (48)
     # a finished run is evaluated again (20)
-    "results": 2_729,
+    "results": 2_756,
     # imports of one file for each idea of the settings (45); the parts of a run report, each in a class
     # of its own with what it imports (205); the options of its recording (15); notes on packages
     # at the end (5)
@@ -218,7 +218,7 @@ MOST_STATEMENTS = {
     # what an empty scenario lacks (2)
     # names of class numbers as an option (7)
     # hashes of all inputs of a run (47)
-    "run": 2_540,
+    "run": 2_550,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that
     # look to any side from any place of the vehicle (24)
     # vehicles out of side roads, which cross or give way (39)
