@@ -82,7 +82,7 @@ def vehicle_shapes(boxes: SceneBoxes, size_px: tuple[int, int], sizes: SizeModel
     """Focal length from the shapes of boxes of a video with images of `size_px` (width, height);
     unknown with sizes that have no shapes.
     """
-    log_f = log_focal_grid(size_px[0], _N_GRID)
+    log_f = log_focal_grid(size_px, _N_GRID)
     usable = boxes.select(
         boxes.are_whole(size_px, min_height_px=_MIN_HEIGHT_PX) & _SHAPE_CLASSES[boxes.size_class]
     )

@@ -7,9 +7,10 @@ from typing import Self
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.geometry.focal_guess import FocalGuess, focal_of_field
+from track_range.stereo.geometry.focal_guess import FocalGuess, focal_of_field, usual_width_px
 
-FIELDS_DEG = 150.0, 20.0  # largest and smallest horizontal field of view of a curve
+# largest and smallest field of view of a curve, across an image of 16:9
+FIELDS_DEG = 150.0, 20.0
 # probabilities below the bounds of the intervals of one and two standard deviations, and the median
 _QUANTILES = (0.0228, 0.1587, 0.5, 0.8413, 0.9772)
 
@@ -70,7 +71,10 @@ class FocalCurve:
         return np.array([total[has_points], mean, sigma])
 
 
-def log_focal_grid(width_px: int, n: int) -> FloatArray:
-    """(n,) logarithms of focal lengths in px of images of this width, evenly spaced."""
+def log_focal_grid(size_px: tuple[int, int], n: int) -> FloatArray:
+    """(n,) logarithms of focal lengths in px of images of `size_px` (width, height), evenly
+    spaced.
+    """
+    width_px = usual_width_px(size_px)
     low, high = (math.log(focal_of_field(field_deg, width_px)) for field_deg in FIELDS_DEG)
     return np.linspace(low, high, n)

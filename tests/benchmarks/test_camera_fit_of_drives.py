@@ -81,8 +81,8 @@ def test_simulated_drives():
     for seed in range(6):
         focal_px, scene, known = simulated(seed)
         shapes = vehicle_shapes(scene, SIZE_PX, SIZES)
-        usual = source_of_guess(default_guess(SIZE_PX[0]), "usual", SIZE_PX[0])
-        by_shape = source_of_curve("shapes", "", shapes.curve, SIZE_PX[0])
+        usual = source_of_guess(default_guess(SIZE_PX), "usual", SIZE_PX)
+        by_shape = source_of_curve("shapes", "", shapes.curve, SIZE_PX)
         guess = CameraEstimate(size_px=SIZE_PX, sources=(usual, by_shape)).guess
         fits = [
             fit_camera(

@@ -173,7 +173,7 @@ def cuboid_scene(focal_px, *, n=60, seed=0):
 def test_shapes_of_cars_give_the_focal_length(focal_px):
     shapes = vehicle_shapes(cuboid_scene(focal_px), SIZE_PX, SIZES)
     shown_px, sigma = shapes.curve.estimate
-    usual_px = default_guess(SIZE_PX[0]).focal_px
+    usual_px = default_guess(SIZE_PX).focal_px
     before, after = (abs(math.log(guess_px / focal_px)) for guess_px in (usual_px, shown_px))
     assert after < 0.16
     assert after < max(before, 0.12)

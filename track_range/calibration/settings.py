@@ -197,6 +197,15 @@ class RoadOptions(Options):
             panel=_ROAD,
         ),
     ] = None
+    lens_fov_deg: Annotated[
+        str | None,
+        option(
+            "Field of view as on the box of the camera, in degrees with the side that it is across: "
+            "140d diagonal, 120h horizontal, 70v vertical.",
+            metavar="DEG",
+            panel=_ROAD,
+        ),
+    ] = None
     detector: Annotated[
         str | None,
         option(

@@ -22,6 +22,7 @@ from track_range.recording.cameras.calibration import (
     names_of,
 )
 from track_range.recording.cameras.camera_estimate import CameraEstimate
+from track_range.recording.cameras.known_lenses import GivenLens
 from track_range.recording.pairs.aligner import (
     ESTIMATION_SPAN_S,
     LIVE,
@@ -210,8 +211,10 @@ def open_recording(
             a file next to `left`; `camera`, the name of the camera in a file of several, or of the
             left and the right one; `focal_px` of cameras without such a file; `fov_deg`, horizontal
             field of view to which the images of wide lenses are undistorted, and `yaw_deg`, its
-            direction to the right of one camera's axis; `align`, disparity correction of a pair:
-            "auto" (estimated from the first frames), "off", a file or an alignment; `start_s` and
+            direction to the right of one camera's axis; `lens_fov_deg`, field of view on the box of
+            a camera without a calibration ("140d", "120h", "70v"), or its `camera_model`; `align`,
+            disparity correction of a pair: "auto" (estimated from the first frames), "off", a file
+            or an alignment; `start_s` and
             `duration_s`, the part to read, in seconds; `every`, N for every N-th frame;
             `fps`, frame rate of images without times; `has_checks`, whether pairs
             are checked for swapped, misaligned and unsynchronised videos; `start_utc` of the first
@@ -252,6 +255,7 @@ def open_recording(
             cameras=names_of(options.camera),
             focal_px=options.focal_px,
             view=LensView(options.fov_deg, options.yaw_deg),
+            lens=GivenLens(options.camera_model, options.lens_fov_deg),
         )
         aligner = None
         if pair is not None:

@@ -18,7 +18,7 @@ from track_range.foundation.files.numeric_text import number
 from track_range.recording.recording import Recording
 from track_range.recording.sources.bags.bag import is_bag
 from track_range.recording.telemetry.checks import with_unit
-from track_range.recording.telemetry.companions import companions
+from track_range.recording.telemetry.companions import companions, shared_note
 from track_range.recording.telemetry.found import FoundTelemetry, candidates, named_telemetry
 from track_range.recording.telemetry.image_evidence import SPAN_S, contradiction, motion_of
 from track_range.recording.telemetry.sidecars.reading import (
@@ -144,6 +144,11 @@ def _opened(setting: str, recording: Recording, mounting: Mounting | None) -> Sp
     if not parts:
         return SpeedSource()
     source = _table_beside(parts[0])
+    if source.ego is not None:
+        own = [part.path for part in parts]
+        own += [Path(str(video.path)) for video in recording.videos]
+        shared = shared_note(source.files[0], own)
+        source = replace(source, origin=source.origin + shared)
     return source if source.ego is not None else _automatic(parts, motion, source.notes)
 
 

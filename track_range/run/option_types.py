@@ -45,6 +45,8 @@ class PipelineKeywords(TypedDict, total=False):
     lanes: str | Path | None
     lane_width_m: float | None
     camera_height_m: float | None
+    lens_fov_deg: str | None
+    camera_model: str | None
     mount: str | Sequence[str] | Mounting | None
 
 
@@ -77,6 +79,7 @@ class RunKeywords(PipelineKeywords, total=False):
     detections: str | Path | None
     align: str | Path | None
     out: str | Path | None
+    overwrite: bool | None
     write: str | Sequence[str] | None
     anonymize: bool | None
     mcap_profile: Literal["foxglove", "ros2"] | None

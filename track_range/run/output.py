@@ -29,7 +29,11 @@ from track_range.results.rows.rows import Rows
 from track_range.results.writers import OpenWriters, create_writers, result_names
 from track_range.run.options.paths import input_files
 from track_range.run.options.settings import RunSettings
-from track_range.run.options.settings_file import absolute_settings, save_settings
+from track_range.run.options.settings_file import (
+    absolute_settings,
+    check_replaceable,
+    save_settings,
+)
 from track_range.run.pictures import pictures
 from track_range.run.session import RunSession
 from track_range.stereo.geometry.rig import StereoRig
@@ -61,6 +65,7 @@ class RunOutput:
         self, settings: RunSettings, folder: Path | None, rig: StereoRig | None = None
     ) -> None:
         self.folder, self._settings, self._rig = folder, settings, rig
+        self.replaces = False  # whether the folder has results of an earlier run
         self.videos: Mapping[str, str] = {}  # file names by video ("overlay", "disparity")
         self.files: tuple[Path, ...] = ()  # all files that the run writes
         self._open, self._videos_open = ExitStack(), ExitStack()
@@ -90,7 +95,10 @@ class RunOutput:
         undo.callback(_remove, self._temporary)
         existing = sorted(name for name in result_names() if (folder / name).exists())
         # without results, the files are of a run that was killed while it opened its inputs
-        if "settings.yaml" not in existing or existing == [PROGRESS_FILE, "settings.yaml"]:
+        self.replaces = "settings.yaml" in existing and existing != [PROGRESS_FILE, "settings.yaml"]
+        if self.replaces:
+            check_replaceable(settings, folder)
+        else:
             self._temporary.append(folder / "settings.yaml")
             save_settings(settings, folder / "settings.yaml")
         self._temporary.append(folder / PROGRESS_FILE)

@@ -39,6 +39,7 @@ from track_range.recording.cameras.calibration import (
     calibration_of,
     names_of,
 )
+from track_range.recording.cameras.known_lenses import GivenLens
 from track_range.recording.pairs.aligner import ONE_BY_ONE, PairAligner
 from track_range.recording.video.frame import RecordedFrame
 from track_range.results.events.event import Event
@@ -507,11 +508,13 @@ class Pipeline:
         if not isinstance(cameras, Path | StereoRig | PinholeCamera | None):
             cameras = PinholeCamera.of_focal_length(float(cameras), sizes_px[0])
             check_camera(cameras, "focal_px")
-        calibration = calibration_of(cameras, sizes_px, self._cameras.view, self._cameras.names)
+        lens = GivenLens(self.options.camera_model, self.options.lens_fov_deg)
+        given = self._cameras
+        calibration = calibration_of(cameras, sizes_px, given.view, given.names, lens)
         aligner = None
         if calibration.rig is not None:
-            given = given_alignment(self._align, calibration.rig)
-            aligner = PairAligner(calibration, ONE_BY_ONE, given, background=self._background)
+            alignment = given_alignment(self._align, calibration.rig)
+            aligner = PairAligner(calibration, ONE_BY_ONE, alignment, background=self._background)
         stages = open_pipeline(
             self.options,
             calibration if aligner is None else aligner.calibration,

@@ -337,6 +337,11 @@ class Run:
         return cast(RunSession, self._session)
 
     @property
+    def replaces_results(self) -> bool:
+        """Whether the output folder had results of an earlier run when this run was opened."""
+        return self._output.replaces
+
+    @property
     def camera(self) -> PinholeCamera:
         """Camera model of the rectified left frames."""
         return self.session.recording.camera

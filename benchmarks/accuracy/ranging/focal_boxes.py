@@ -189,11 +189,11 @@ def _figures(drives: Sequence[RoadDrive], sizes: CuboidSizes) -> dict[str, dict[
 
 
 def _estimates(drive: RoadDrive, sizes: CuboidSizes) -> Iterator[tuple[str, FocalGuess]]:
-    default = default_guess(drive.size_px[0])
+    default = default_guess(drive.size_px)
     yield NAMES[3], default
     shapes = vehicle_shapes(drive.scene, drive.size_px, sizes)
-    usual = source_of_guess(default, "usual", drive.size_px[0])
-    by_shape = source_of_curve("shapes", "shapes", shapes.curve, drive.size_px[0])
+    usual = source_of_guess(default, "usual", drive.size_px)
+    by_shape = source_of_curve("shapes", "shapes", shapes.curve, drive.size_px)
     prior = CameraEstimate(size_px=drive.size_px, sources=(usual, by_shape)).guess
     yield NAMES[0], prior
     for known in drive.known:

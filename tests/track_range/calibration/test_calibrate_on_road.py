@@ -17,7 +17,8 @@ from track_range.calibration.drive.separability import separability
 from track_range.foundation.errors import UsageError
 from track_range.ranging.cameras.measurements import SceneBoxes
 from track_range.recording.cameras.camera_estimate import CameraEstimate, source_of_guess
-from track_range.recording.cameras.focal_sources import KNOWN_CAMERAS, focal_guesses
+from track_range.recording.cameras.focal_sources import focal_guesses
+from track_range.recording.cameras.known_lenses import KNOWN_CAMERAS, GivenLens
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.focal_guess import FocalGuess
 from track_range.stereo.geometry.rig import RoadCalibration
@@ -98,12 +99,12 @@ def test_focal_length_of_exif(tmp_path):
 
 
 def test_known_cameras():
-    (guess,) = focal_guesses(reader({}), "comma eon")
+    (guess,) = focal_guesses(reader({}), GivenLens("comma eon"))
     assert guess.focal_px == pytest.approx(910 * 1920 / 1164)
-    (guess,) = focal_guesses(reader({}), "Comma Three")
+    (guess,) = focal_guesses(reader({}), GivenLens("Comma Three"))
     assert guess.focal_px == pytest.approx(2648 * 1920 / 1928)
     with pytest.raises(UsageError, match="comma EON"):
-        focal_guesses(reader({}), "unknown")
+        GivenLens("unknown")
     (guess,) = focal_guesses(reader({"firmware": "HD9.01.01.60.00"}))
     assert "HERO9" in guess.source
     for camera in KNOWN_CAMERAS:
@@ -296,7 +297,7 @@ def road_of(path):
 
 
 def test_focal_length_before_the_measurements_is_named_once():
-    source = source_of_guess(FocalGuess(833.0, 0.1, "a guess"), "metadata", 1280)
+    source = source_of_guess(FocalGuess(833.0, 0.1, "a guess"), "metadata", (1280, 720))
     before = CameraEstimate(size_px=(1280, 720), sources=(source,))
     fit = SimpleNamespace(
         focal_sigma=0.092,
@@ -308,7 +309,9 @@ def test_focal_length_before_the_measurements_is_named_once():
         pitch_rad=lambda camera: 0.0,
         pitch_sigma_rad=0.01,
     )
-    known = source_of_guess(FocalGuess(883.0, 0.04, "the known metres"), "known metres", 1280)
+    known = source_of_guess(
+        FocalGuess(883.0, 0.04, "the known metres"), "known metres", (1280, 720)
+    )
     parts = {"shapes": None, "scene": SceneBoxes(), "n_frames": 1, "before": before}
     mounted = MountedCamera(estimate=before.with_source(known), fit=fit, **parts)
     (first, *_) = separability(mounted, has_height=True)

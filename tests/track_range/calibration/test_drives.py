@@ -59,7 +59,7 @@ def motion(focal_px=1000.0, sigma=0.02, **changes):
 
 
 def usual():
-    source = source_of_guess(default_guess(SIZE_PX[0]), "usual", SIZE_PX[0])
+    source = source_of_guess(default_guess(SIZE_PX), "usual", SIZE_PX)
     return CameraEstimate(size_px=SIZE_PX, sources=(source,))
 
 
@@ -200,7 +200,7 @@ def test_speed_gives_the_focal_length_by_hand():
         "", {Unknown.HEIGHT: 1.0, Unknown.SIZES: 1.0}, math.log(1.25 / USUAL_HEIGHT_M), 0.04
     )
     evidence = [height_by_speed(math.log(1250.0 / assumed_px_m(priors)), 0.03), height]
-    by_speed = source_of_evidence("speed", "the speed of the camera", priors, evidence, SIZE_PX[0])
+    by_speed = source_of_evidence("speed", "the speed of the camera", priors, evidence, SIZE_PX)
     focal_px, sigma = by_speed.curve.estimate
     assert focal_px == pytest.approx(980, rel=0.01)
     expected = math.sqrt(0.055**2 + 0.065**2 + 0.04**2 + 0.015**2 + 0.02**2 + 0.03**2)
@@ -215,7 +215,7 @@ def test_speed_gives_the_focal_length_by_hand():
 def test_a_measured_height_and_a_speed_need_no_road_users():
     priors = drive_priors(usual(), 1.25)
     evidence = [height_by_speed(math.log(1250.0 / assumed_px_m(priors)), 0.01)]
-    by_speed = source_of_evidence("speed", "the speed of the camera", priors, evidence, SIZE_PX[0])
+    by_speed = source_of_evidence("speed", "the speed of the camera", priors, evidence, SIZE_PX)
     focal_px, sigma = by_speed.curve.estimate
     assert focal_px == pytest.approx(1000, rel=0.01)
     # 3 % of the height, 1.5, 2 and 1 % of the speed are 4.0 %; in 6 % of cases one is a mistake
@@ -285,7 +285,7 @@ def test_recordings_of_two_sizes(tmp_path, cli):
 )
 def test_the_better_known_distortion_stays(k1_sigma, expected):
     """An earlier calibration against a turn, which shows -0.1 within 0.01."""
-    given = source_of_guess(FocalGuess(1000.0, 0.02, "rig.yaml"), "given", SIZE_PX[0])
+    given = source_of_guess(FocalGuess(1000.0, 0.02, "rig.yaml"), "given", SIZE_PX)
     earlier = {"coefficients": (-0.2, 0.03, 0.0, 0.0), "k1_sigma": k1_sigma}
     before = CameraEstimate(size_px=SIZE_PX, sources=(given,), **earlier)
     assert with_motion(before, motion()).distortion == expected
@@ -318,6 +318,6 @@ def test_a_drive_without_motion_keeps_an_earlier_calibration(tmp_path, cli):
 
 
 def test_prior_is_a_source():
-    given = source_of_guess(FocalGuess(950.0, 0.02, "rig.yaml"), "given", SIZE_PX[0])
+    given = source_of_guess(FocalGuess(950.0, 0.02, "rig.yaml"), "given", SIZE_PX)
     estimate = with_motion(CameraEstimate(size_px=SIZE_PX, sources=(given,)), motion(1000.0, 0.02))
     assert estimate.focal_px == pytest.approx(math.sqrt(950 * 1000), rel=0.005)

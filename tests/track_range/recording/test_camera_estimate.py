@@ -18,7 +18,7 @@ SIZE_PX = (1280, 720)
 
 
 def source(focal_px, sigma, kind="shapes"):
-    return source_of_guess(FocalGuess(focal_px, sigma, f"{kind} of a test"), kind, SIZE_PX[0])
+    return source_of_guess(FocalGuess(focal_px, sigma, f"{kind} of a test"), kind, SIZE_PX)
 
 
 def estimate(*sources, **values):
@@ -56,11 +56,11 @@ def test_sigma_widens_with_a_contradiction():
 def test_curve_is_continued_beyond_its_ends():
     log_focal = np.log(np.geomspace(800, 1200, 41))
     curve = FocalCurve(log_focal, -0.5 * ((log_focal - math.log(1000)) / 0.05) ** 2)
-    by_curve = estimate(source_of_curve("motion", "a turn", curve, SIZE_PX[0]))
+    by_curve = estimate(source_of_curve("motion", "a turn", curve, SIZE_PX))
     by_guess = estimate(source(1000.0, 0.05, "motion"))
     assert by_curve.focal_px == pytest.approx(by_guess.focal_px, rel=2e-3)
     assert by_curve.sigma == pytest.approx(by_guess.sigma, rel=0.05)
-    rising = source_of_curve("motion", "a turn", FocalCurve(log_focal, log_focal), SIZE_PX[0]).curve
+    rising = source_of_curve("motion", "a turn", FocalCurve(log_focal, log_focal), SIZE_PX).curve
     assert rising.log_focal[np.argmax(rising.log_likelihood)] >= math.log(1199)
 
 

@@ -157,7 +157,7 @@ def test_almost_square_pixels_stay_as_they_are(tmp_path, recorded, focal_px):
 
 def test_an_estimated_focal_length_keeps_the_shape_of_the_pixels(tmp_path):
     recording = open_recording(**a_file(tmp_path, ALMOST))
-    given = source_of_guess(FocalGuess(204.0, 0.001, "a test"), "given", 100)
+    given = source_of_guess(FocalGuess(204.0, 0.001, "a test"), "given", (100, 48))
     calibration = recording.calibration.with_estimate(
         CameraEstimate(size_px=(100, 48), sources=(given,))
     )

@@ -38,9 +38,7 @@ def test_evidence_of_an_estimated_focal_length_counts_once(film, tmp_path: Path,
     if is_given:
         cameras = calibration(video, 100.0)
     else:
-        by_motion = source_of_guess(
-            FocalGuess(100.0, 0.015, "the turn at 0:02"), "motion", SIZE_PX[0]
-        )
+        by_motion = source_of_guess(FocalGuess(100.0, 0.015, "the turn at 0:02"), "motion", SIZE_PX)
         estimate = CameraEstimate(size_px=SIZE_PX, sources=(by_motion,))
         cameras = calibration(video, None).with_estimate(estimate)
     options = pipeline_options({"lanes": "off"})

@@ -32,6 +32,7 @@ from track_range.ranging.cameras.camera_fit import CameraFit
 from track_range.ranging.cameras.unknowns import GIVEN_SIGMA
 from track_range.ranging.size_models.curve import load_curves
 from track_range.recording.cameras.camera_estimate import CameraEstimate, source_of_guess
+from track_range.recording.cameras.known_lenses import GivenLens
 from track_range.recording.sources.names import source_of, video_name
 from track_range.recording.speed_source import AUTO, OFF
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -141,7 +142,8 @@ def calibrate_from_drives(
     )
     names = [video_name(name) for name in settings.recordings]
     _check_once([str(name) for name in names])
-    drives = [DriveVideo.of(name, settings.camera_model) for name in names]
+    lens = GivenLens(settings.camera_model, settings.lens_fov_deg)
+    drives = [DriveVideo.of(name, lens) for name in names]
     first = drives[0]
     for drive in drives[1:]:
         if drive.size_px != first.size_px:
@@ -199,7 +201,7 @@ def _prior(path: Path, drive: DriveVideo) -> tuple[CameraEstimate, float | None]
     road, stated = content.road, content.road or content.accuracy
     sigma = _UNSTATED_SIGMA if stated is None else stated.focal_sigma
     focal = FocalGuess(camera.fx_px, max(sigma, 1e-3), str(path.name))
-    given = source_of_guess(focal, "given", drive.size_px[0])
+    given = source_of_guess(focal, "given", drive.size_px)
     estimate = CameraEstimate(
         size_px=drive.size_px, sources=(given,), principal_px=(camera.cx_px, camera.cy_px)
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from track_range.foundation.errors import UsageError
 from track_range.recording.cameras.focal_sources import focal_guesses
+from track_range.recording.cameras.known_lenses import UNKNOWN_LENS, GivenLens
 from track_range.recording.recording import Recording, open_recording
 from track_range.recording.sources.names import VideoName, source_of
 from track_range.recording.sources.open_video import open_video
@@ -46,7 +47,7 @@ class DriveVideo:
     speed: EgoSpeed | None = None  # of the camera, from outside the images; None = unknown
 
     @classmethod
-    def of(cls, name: VideoName, camera_model: str | None = None) -> "DriveVideo":
+    def of(cls, name: VideoName, lens: GivenLens = UNKNOWN_LENS) -> "DriveVideo":
         """The drive of a video; UsageError for a live source."""
         if not source_of(name).files:
             raise UsageError(
@@ -54,7 +55,7 @@ class DriveVideo:
             )
         with closing(open_video(name)) as reader:
             duration_s = (reader.n_frames or 0) / reader.fps if reader.fps else 0.0
-            guesses = focal_guesses(reader, camera_model)
+            guesses = focal_guesses(reader, lens)
             return cls(name, reader.shown_size_px, duration_s, guesses)
 
     @classmethod
@@ -132,6 +133,8 @@ class DriveVideo:
         options = replace(
             self.options,
             rig=None,
+            lens_fov_deg=None,
+            camera_model=None,
             focal_px=best_guess(self.guesses).focal_px,
             start_s=start_s,
             duration_s=duration_s,

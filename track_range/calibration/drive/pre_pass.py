@@ -179,21 +179,19 @@ class PrePass:
         scene = undistorted(view.scene, estimate.camera)
         shapes = vehicle_shapes(thinned(scene), size_px, self.sizes)
         if shapes.n_tracks:
-            by_shape = source_of_curve("shapes", shapes.name, shapes.curve, size_px[0])
+            by_shape = source_of_curve("shapes", shapes.name, shapes.curve, size_px)
             estimate = estimate.with_source(by_shape)
         return DriveCamera(estimate=estimate, shapes=shapes, scene=scene, n_frames=view.n_frames)
 
     def _without_images(self, drive: DriveVideo) -> CameraEstimate:
         """What is known of the camera without the images."""
-        size_px, usual = drive.size_px, default_guess(drive.size_px[0])
+        size_px, usual = drive.size_px, default_guess(drive.size_px)
         metadata = tuple(
-            source_of_guess(guess, "metadata", size_px[0])
-            for guess in drive.guesses
-            if guess != usual
+            source_of_guess(guess, "metadata", size_px) for guess in drive.guesses if guess != usual
         )
         if self.prior is not None:
             return replace(self.prior, sources=(*self.prior.sources, *metadata))
-        sources = metadata or (source_of_guess(usual, "usual", size_px[0]),)
+        sources = metadata or (source_of_guess(usual, "usual", size_px),)
         return CameraEstimate(size_px=size_px, sources=sources)
 
     def _with_evidence(
@@ -219,7 +217,7 @@ class PrePass:
             return before
         source = " and ".join(names)
         return before.with_source(
-            source_of_evidence(kind, source, priors, evidence, before.size_px[0])
+            source_of_evidence(kind, source, priors, evidence, before.size_px)
         )
 
 
@@ -243,12 +241,12 @@ def source_of_evidence(
     source: str,
     priors: CameraPriors,
     evidence: Sequence[Evidence],
-    width_px: int,
+    size_px: tuple[int, int],
 ) -> FocalSource:
     """The focal length by equations of all unknowns, as if it were not known before."""
     focal = replace(priors[Unknown.FOCAL], sigma=FREE_SIGMA, kind="unknown")
     cameras = posterior({**priors, Unknown.FOCAL: focal}, evidence)
-    log_focal = log_focal_grid(width_px, N_GRID)
+    log_focal = log_focal_grid(size_px, N_GRID)
     log_p = cameras.log_density(OF_FOCAL, math.log(focal.value) - log_focal)
     return FocalSource(kind, source, FocalCurve(log_focal, log_p))
 
@@ -260,7 +258,7 @@ def with_motion(before: CameraEstimate, motion: MotionEstimate, video: str = "")
     minutes, seconds = divmod(round(motion.span_s[0]), 60)
     event = "turn" if motion.turn_deg >= _TURN_DEG else "motion of the static scene"
     source = f"the {event} at {minutes}:{seconds:02}" + (f" of {video}" if video else "")
-    by_motion = source_of_curve("motion", source, motion.curve, before.size_px[0])
+    by_motion = source_of_curve("motion", source, motion.curve, before.size_px)
     sigma = by_motion.curve.estimate[1]
     if sigma > _UNKNOWN_SIGMA:
         return before

@@ -21,7 +21,7 @@ from track_range.views.tables import Column, grid_of
 _BOARD_OPTIONS = ("square_mm", "lens_terms", "picture")
 _ROAD_OPTIONS = (
     *("known_distance", "known_height", "known_width", "known_lane_width"),
-    *("camera_height_m", "camera_model", "force"),
+    *("camera_height_m", "camera_model", "lens_fov_deg", "force"),
 )
 _N_COEFFICIENTS = (0, 4, 5, 8)
 

@@ -138,8 +138,9 @@ def _process(
 
     of_camera = run.camera_notes  # printed at the end
     opening_notes = [note for note in run.notes if note not in of_camera]
+    replaced = f"The results of an earlier run in {run.settings.out} are replaced."
     with _ignore_broken_pipe():
-        print_notes(console, opening_notes)
+        print_notes(console, [*([replaced] if run.replaces_results else []), *opening_notes])
     if view is not None:
         print_notes(console, [view.begin(run.draw, video=run.uncalibrated_video)])
     try:

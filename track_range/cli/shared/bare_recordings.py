@@ -83,6 +83,6 @@ def refuse_expanded(option: str, names: Sequence[str], most: int) -> None:
 def _is_recorded(name: str) -> bool:
     """Whether a file name or pattern ends as names of images and videos do."""
     from track_range.foundation.files.images import IMAGE_SUFFIXES
-    from track_range.recording.sources.segments.segmented_video import VIDEO_SUFFIXES
+    from track_range.recording.video.file_names import VIDEO_SUFFIXES
 
     return Path(name).suffix.lower() in {*IMAGE_SUFFIXES, *VIDEO_SUFFIXES}

@@ -13,7 +13,7 @@ from fnmatch import fnmatchcase
 
 from track_range.fleet.storage.location import Entry, Location, is_hidden
 from track_range.foundation.files.images import IMAGE_SUFFIXES
-from track_range.recording.sources.segments.segmented_video import VIDEO_SUFFIXES
+from track_range.recording.video.file_names import VIDEO_SUFFIXES
 from track_range.results.events.event import CLIPS_FOLDER, is_clip_name
 
 # for str.endswith

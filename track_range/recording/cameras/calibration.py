@@ -15,7 +15,9 @@ from track_range.foundation.files.input_files import alternatives
 from track_range.recording.cameras.auto_alignment import PairAlignment
 from track_range.recording.cameras.camera_estimate import CameraEstimate
 from track_range.recording.cameras.focal_sources import focal_guesses
+from track_range.recording.cameras.known_lenses import UNKNOWN_LENS, GivenLens
 from track_range.recording.sources.names import source_of
+from track_range.recording.telemetry.companions import shared_note
 from track_range.recording.video.frame import RecordedFrame, VideoError, VideoFrame
 from track_range.recording.video.source_name import SourceName
 from track_range.recording.video.utc import UtcStart
@@ -367,13 +369,14 @@ def find_calibration(
     focal_px: float | None,
     view: LensView = WHOLE_VIEW,
     cameras: Sequence[str] = (),
+    lens: GivenLens = UNKNOWN_LENS,
 ) -> RecordingCalibration:
     """The calibration of one or two opened videos, left first.
 
     It comes from `rig`, a file, of which `cameras` may choose, or a model of the cameras, the focal
     length, the bag, or a file next to `left`; the first of these is used. Otherwise the focal
-    length is estimated, and the distances are uncalibrated. Images of wide lenses are undistorted
-    to `view`.
+    length is estimated, from the stated `lens` or the header, and the distances are uncalibrated.
+    Images of wide lenses are undistorted to `view`.
 
     Raises RigError if the file cannot be used or does not fit the images, or there is a field of
     view but no wide lens, and VideoError if the videos of an uncalibrated pair differ in size.
@@ -384,19 +387,23 @@ def find_calibration(
         sizes_px = ((min(w for w, _ in sizes_px), min(h for _, h in sizes_px)),) * len(sizes_px)
     if isinstance(rig, StereoRig):
         _check_no_names(cameras)
+        _check_no_lens(lens, "the given rig")
         aspect = _pixel_aspect(videos, rig.left)
         return replace(_of_models(rig, None, sizes_px, view, aspect), pixel_aspect=aspect)
     path, search_notes = rig, tuple[str, ...]()
     if rig is None and focal_px is None:
         in_bag = None if cameras else _calibration_in_bag(videos, sizes_px, view)
         if in_bag is not None:
+            _check_no_lens(lens, f"the calibration in {left}")
             return in_bag
         first_file = next(iter(left.files), None)
         path = None if first_file is None else find_rig(first_file)
-        search_notes = (
-            () if path is None else (f"Using calibration {path} found next to the left video.",)
-        )
+        if path is not None:
+            own = [*left.files, *(Path(str(video.path)) for video in videos)]
+            shared = shared_note(path, own)
+            search_notes = (f"Using calibration {path} found next to the left video.{shared}",)
     if path is not None:
+        _check_no_lens(lens, path)
         chosen = _Chosen(path, tuple(cameras), videos[0].is_grey)
         content = chosen.content(sizes_px)
         aspect = _pixel_aspect(videos, content.left)
@@ -408,7 +415,7 @@ def find_calibration(
     if focal_px is None and any(video.camera is not None for video in videos):
         focal_px, note = _one_focal_length(videos, sizes_px, aspect)
         notes = (note,)
-    calibration = _without_file(left, videos, sizes_px, focal_px, aspect)
+    calibration = _without_file(left, videos, sizes_px, focal_px, aspect, lens)
     return replace(calibration, search_notes=(*calibration.search_notes, *notes))
 
 
@@ -461,16 +468,18 @@ def calibration_of(
     sizes_px: Sizes,
     view: LensView = WHOLE_VIEW,
     names: Sequence[str] = (),
+    lens: GivenLens = UNKNOWN_LENS,
 ) -> RecordingCalibration:
     """The calibration of one camera or a pair, for images of one or two sizes, from a file, of
-    which `names` may choose cameras, or from camera models; None = a usual focal length and an
-    assumed baseline, which the drive corrects.
+    which `names` may choose cameras, or from camera models; None = the focal length of the stated
+    lens or a usual one, and an assumed baseline, which the drive corrects.
 
     Raises RigError if the file cannot be used, the cameras do not fit the images, or as
     `find_calibration`.
     """
     if isinstance(cameras, Path):
         chosen = _Chosen(cameras, tuple(names))
+        _check_no_lens(lens, cameras)
         return _loaded(chosen, chosen.content(sizes_px), sizes_px, view)
     _check_no_names(names)
     if cameras is None:
@@ -481,11 +490,21 @@ def calibration_of(
                 f"{rw}x{rh} px; different cameras require the calibration of both."
             )
         _check_view(None, view)
-        guess = default_guess(sizes_px[0][0])
+        guesses = lens.guesses(sizes_px[0]) or (default_guess(sizes_px[0]),)
+        guess = best_guess(guesses)
         return _assumed(
-            PinholeCamera.of_focal_length(guess.focal_px, sizes_px[0]), sizes_px, guess, (guess,)
+            PinholeCamera.of_focal_length(guess.focal_px, sizes_px[0]), sizes_px, guess, guesses
         )
+    _check_no_lens(lens, "the given cameras")
     return _of_models(cameras, None, sizes_px, view)
+
+
+def _check_no_lens(lens: GivenLens, calibration: object) -> None:
+    if lens:
+        raise RigError(
+            "--lens-fov-deg, --camera-model: expected a camera without a calibration, found "
+            f"{calibration}, which knows its focal length; omit these options."
+        )
 
 
 def _check_view(camera: PinholeCamera | None, view: LensView) -> None:
@@ -502,12 +521,13 @@ def _without_file(
     sizes_px: Sizes,
     focal_px: float | None,
     aspect: float,
+    lens: GivenLens,
 ) -> RecordingCalibration:
-    """One camera or a pair with a given focal length, or an estimate from the header of the left
-    video.
+    """One camera or a pair with a given focal length, or an estimate from the stated lens or the
+    header of the left video.
     """
     video, shown_px = videos[0], shown_size(sizes_px[0], aspect)
-    stated = focal_guesses(video)
+    stated = focal_guesses(video, lens)
     guesses = stated if focal_px is None else ()
     guess = (
         best_guess(guesses)
@@ -524,7 +544,7 @@ def _without_file(
         "focal length, so check which of the two is right."
         for other in stated
         if focal_px is not None
-        and other != default_guess(shown_px[0])
+        and other != default_guess(shown_px)
         and abs(math.log(guess.focal_px / other.focal_px)) > 3 * other.sigma
     ]
     if sizes_px[0] != sizes_px[-1]:

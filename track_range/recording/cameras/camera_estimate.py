@@ -103,8 +103,8 @@ class CameraEstimate:
     @property
     def curve(self) -> FocalCurve:
         """The focal length by all sources, at the points of the grid."""
-        log_focal = log_focal_grid(self.size_px[0], N_GRID)
-        usual = FocalCurve.of_guess(default_guess(self.size_px[0]), log_focal).density
+        log_focal = log_focal_grid(self.size_px, N_GRID)
+        usual = FocalCurve.of_guess(default_guess(self.size_px), log_focal).density
         log_p = np.sum([source.robust_log_density(usual) for source in self.sources], axis=0)
         return FocalCurve(log_focal, log_p)
 
@@ -239,16 +239,18 @@ class CameraEstimate:
         }
 
 
-def source_of_guess(guess: FocalGuess, kind: SourceKind, width_px: int) -> FocalSource:
+def source_of_guess(guess: FocalGuess, kind: SourceKind, size_px: tuple[int, int]) -> FocalSource:
     """A focal length with a standard deviation as a source."""
     return FocalSource(
-        kind, guess.source, FocalCurve.of_guess(guess, log_focal_grid(width_px, N_GRID))
+        kind, guess.source, FocalCurve.of_guess(guess, log_focal_grid(size_px, N_GRID))
     )
 
 
-def source_of_curve(kind: SourceKind, source: str, curve: FocalCurve, width_px: int) -> FocalSource:
+def source_of_curve(
+    kind: SourceKind, source: str, curve: FocalCurve, size_px: tuple[int, int]
+) -> FocalSource:
     """A likelihood at other focal lengths as a source."""
-    return FocalSource(kind, source, curve.at(log_focal_grid(width_px, N_GRID)))
+    return FocalSource(kind, source, curve.at(log_focal_grid(size_px, N_GRID)))
 
 
 def _shown_points(curve: FocalCurve) -> IntArray:

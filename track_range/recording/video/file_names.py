@@ -1,8 +1,16 @@
-"""Names of files: patterns such as `DIR/*_F.mp4`, their order, and the stem for files of results."""
+"""Names of files: suffixes of videos, patterns such as `DIR/*_F.mp4`, their order, and the stem for
+files of results.
+"""
 
+import os
 import re
 from glob import glob, has_magic
 from pathlib import Path
+
+VIDEO_SUFFIXES = frozenset(
+    ".264 .265 .3g2 .3gp .asf .avi .dav .flv .h264 .h265 .hevc .insv .m2ts .m4v .mjpeg .mjpg .mkv "
+    ".mov .mp4 .mpeg .mpg .mts .mxf .ogv .ts .vob .webm .wmv".split()
+)
 
 
 def is_pattern(path: Path) -> bool:
@@ -48,5 +56,9 @@ def recording_key(name: str) -> list[tuple[int, int, str]]:
 
 
 def stem_of_path(path: Path) -> str:
-    """The stem of a file, or the name of the folder of a pattern."""
-    return (path.absolute().parent.name or "recording") if is_pattern(path) else path.stem
+    """The stem of a file, or the name of a folder, such as ".", or of the folder of a pattern."""
+    if is_pattern(path):
+        return path.absolute().parent.name or "recording"
+    if path.stem in ("", ".."):
+        return Path(os.path.realpath(path)).name or "recording"
+    return path.stem

@@ -25,6 +25,9 @@ class RecordingOptions:
         focal_px: focal length of cameras without a calibration file.
         fov_deg: horizontal field of view, 20 to 120 degrees, to which the images of wide lenses are
             undistorted; None = the lens's, up to 120 degrees.
+        lens_fov_deg: field of view of the lens of cameras without a calibration, as on its box:
+            "140d" diagonal, "120h" horizontal, "70v" vertical degrees.
+        camera_model: model of cameras without a calibration, such as "comma EON".
         yaw_deg: direction of the axis of the undistorted images of one camera with a wide lens, to
             the right of the lens axis.
         align: disparity correction of a calibrated pair: "auto" = estimated from its first frames
@@ -50,6 +53,8 @@ class RecordingOptions:
     camera: str | Sequence[str] = ()
     focal_px: float | None = None
     fov_deg: float | None = None
+    lens_fov_deg: str | None = None
+    camera_model: str | None = None
     yaw_deg: float = 0.0
     align: str | Path | Alignment = "auto"
     start_s: float = 0.0
@@ -78,6 +83,8 @@ class RecordingKeywords(TypedDict, total=False):
     camera: str | Sequence[str]
     focal_px: float | None
     fov_deg: float | None
+    lens_fov_deg: str | None
+    camera_model: str | None
     yaw_deg: float
     align: str | Path | Alignment
     start_s: float

@@ -26,6 +26,14 @@ class OutputOptions(Options):
             is_shared=True,
         ),
     ] = None
+    overwrite: Annotated[
+        bool,
+        _file_option(
+            "Replacement of the results of another recording in the folder. Results of the same "
+            "recording are replaced without this option.",
+            instead="a fleet has an option of its own, --overwrite",
+        ),
+    ] = False
     write: Annotated[
         tuple[str, ...],
         _file_option(

@@ -116,6 +116,24 @@ class RangingOptions(Options):
             le=5.0,
         ),
     ] = None
+    lens_fov_deg: Annotated[
+        str | None,
+        _clip_option(
+            "Field of view of the lens of a camera without a calibration, as on its box, in degrees "
+            "with the side of the image that it is across: 140d diagonal (as on most boxes of "
+            "dashcams), 120h horizontal, 70v vertical. The drive corrects it. (--fov-deg is the view "
+            "to which the images of a wide lens are undistorted.)",
+            metavar="DEG",
+        ),
+    ] = None
+    camera_model: Annotated[
+        str | None,
+        _clip_option(
+            "Model of a camera without a calibration, with a published focal length, such as "
+            "'GoPro HERO10 Black wide' (another name prints the list).",
+            metavar="NAME",
+        ),
+    ] = None
     mount: Annotated[
         tuple[str, ...],
         _clip_option(
@@ -129,6 +147,20 @@ class RangingOptions(Options):
             is_repeated=True,
         ),
     ] = ()
+
+    @field_validator("lens_fov_deg", "camera_model", mode="wrap")
+    @classmethod
+    def _checked_lens(
+        cls, value: Any, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
+    ) -> Any:
+        """A field of view with its side, also of a number, or a known camera model."""
+        from track_range.recording.cameras.known_lenses import GivenLens  # imports NumPy
+
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        text = handler(str(value) if is_number else value)
+        keyword = "fov_deg" if info.field_name == "lens_fov_deg" else "camera_model"
+        GivenLens(**{keyword: text})
+        return text
 
     @field_validator("mount", mode="wrap")
     @classmethod

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from track_range.foundation.errors import ConfigError
-from track_range.foundation.files.output_files import write_text
+from track_range.foundation.files.output_files import OutputError, write_text
 from track_range.foundation.files.structured_text import read_yaml, yaml_text
 from track_range.foundation.schemas.schema_version import SCHEMA_VERSION
 from track_range.recording.sources.names import VideoName
@@ -74,6 +74,27 @@ def save_settings(
         {} if detected is None else {"found": detected}
     )
     write_text(path, yaml_text({**head, "run": run, **others}))
+
+
+def check_replaceable(settings: RunSettings, folder: Path) -> None:
+    """Raise OutputError if a folder has the results of another recording, which a run would
+    replace.
+    """
+    try:
+        earlier = read_settings(folder / "settings.yaml")
+    except ConfigError:
+        return
+    present = absolute_settings(settings)
+    if earlier.get("anonymize") or settings.anonymize:
+        earlier, present = without_folders(earlier), without_folders(present)
+    before, now = (run.get("stereo") or run.get("mono") for run in (earlier, present))
+    if settings.overwrite or before is None or before == now:
+        return
+    name = ", ".join(before) if isinstance(before, list) else before
+    raise OutputError(
+        f"{folder}: expected no results, or those of this recording, found those of {name}; give "
+        "another folder (--out), or replace them (--overwrite)."
+    )
 
 
 def absolute_settings(settings: RunSettings) -> dict[str, Any]:

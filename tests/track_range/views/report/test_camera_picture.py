@@ -14,7 +14,7 @@ from track_range.views.report.page import report_page
 def estimated():
     guesses = [("usual", 834.0, 0.3), ("motion", 1000.0, 0.01)]
     sources = tuple(
-        source_of_guess(FocalGuess(px, sigma, f"<{kind}>"), kind, 1280)
+        source_of_guess(FocalGuess(px, sigma, f"<{kind}>"), kind, (1280, 720))
         for kind, px, sigma in guesses
     )
     return CameraEstimate(size_px=(1280, 720), sources=sources)

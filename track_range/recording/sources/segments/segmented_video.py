@@ -30,16 +30,11 @@ from track_range.recording.sources.segments.segment_times import (
     paired_starts_s,
 )
 from track_range.recording.sources.segments.segments import Segments
-from track_range.recording.video.file_names import is_pattern, matching_files
+from track_range.recording.video.file_names import VIDEO_SUFFIXES, is_pattern, matching_files
 from track_range.recording.video.frame import TIME_EPSILON_S, VideoError, VideoFrame
 from track_range.recording.video.recorded_video import RecordedVideo
 from track_range.recording.video.utc import UtcStart
 from track_range.recording.video.video import Video, VideoPart
-
-VIDEO_SUFFIXES = frozenset(
-    ".264 .265 .3g2 .3gp .asf .avi .dav .flv .h264 .h265 .hevc .insv .m2ts .m4v .mjpeg .mjpg .mkv "
-    ".mov .mp4 .mpeg .mpg .mts .mxf .ogv .ts .vob .webm .wmv".split()
-)
 
 _MAX_FILES = 20_000  # of a recording: two weeks in files of a minute
 _N_NOTES = 5  # messages about single files
