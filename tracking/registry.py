@@ -34,6 +34,9 @@ class ObjectTracker(Protocol):
         """The confirmed tracks at `time_s`, which must increase from call to call; `image` is (H,
         W, 3) BGR or None.
 
+        The detections are all boxes with a score from `--min-score` on (0.1), as trackers with two
+        thresholds need them, unless the tracker has a `min_score`.
+
         Raises ValueError: `time_s` is not later than in the previous call.
         """
         ...
@@ -81,6 +84,8 @@ class TrackerOptions:
     flow: BackgroundFlow | None = None  # shared with the odometry of the run; None = none to share
     # whether boxes may be smoothed over time: not where distances are measured on them
     is_smoothed: bool = False
+    # smallest score of the detections that a tracker gets; None = as it is registered
+    min_score: float | None = None
 
 
 TrackerFactory = Callable[[TrackerOptions], ObjectTracker]  # class or function that makes a tracker
@@ -99,6 +104,7 @@ class RegisteredTracker:
     # makes the tracker; a string "package.module:attribute" is imported on first use
     factory: TrackerFactory | str
     uses_reid: bool = False  # whether it uses `TrackerOptions.reid`
+    min_score: float = 0.0  # smallest score of the detections that it gets; 0 = all
 
 
 TRACKERS: Registry[RegisteredTracker] = Registry(
@@ -110,7 +116,13 @@ TRACKERS: Registry[RegisteredTracker] = Registry(
 )
 
 
-def register_tracker(name: str, factory: TrackerFactory | str, *, uses_reid: bool = False) -> None:
+def register_tracker(
+    name: str,
+    factory: TrackerFactory | str,
+    *,
+    uses_reid: bool = False,
+    min_score: float = 0.0,
+) -> None:
     """Make a tracker available as `--tracker NAME`; see `RegisteredTracker` for the arguments.
 
     Raises TrackerError: another tracker has this name; ValueError: the name is empty or contains a
@@ -120,7 +132,7 @@ def register_tracker(name: str, factory: TrackerFactory | str, *, uses_reid: boo
         raise ValueError(f"{name!r}: expected a tracker's name without a colon")
     if name in TRACKERS.names:
         raise TrackerError(f"tracker name '{name}': already in use; choose another name.")
-    TRACKERS.registered[name] = RegisteredTracker(factory, uses_reid=uses_reid)
+    TRACKERS.registered[name] = RegisteredTracker(factory, uses_reid=uses_reid, min_score=min_score)
 
 
 def find_tracker(name: str) -> RegisteredTracker:
@@ -148,7 +160,11 @@ def find_tracker(name: str) -> RegisteredTracker:
         raise TrackerError(
             f"{name}: expected a class or function with one argument, the TrackerOptions."
         ) from error
-    return RegisteredTracker(factory, uses_reid=bool(getattr(factory, "uses_reid", False)))
+    return RegisteredTracker(
+        factory,
+        uses_reid=bool(getattr(factory, "uses_reid", False)),
+        min_score=float(getattr(factory, "min_score", 0.0)),
+    )
 
 
 def create_tracker(name: str, options: TrackerOptions | None = None) -> ObjectTracker:
@@ -159,23 +175,48 @@ def create_tracker(name: str, options: TrackerOptions | None = None) -> ObjectTr
     Raises TrackerError: the name is unknown, the tracker does not take `TrackerOptions`, or it has
     no method `update`.
     """
-    factory = _imported(find_tracker(name).factory, name)
+    listed, options = find_tracker(name), options or TrackerOptions()
+    factory = _imported(listed.factory, name)
     try:
-        tracker = factory(options or TrackerOptions())
+        tracker = factory(options)
     except TypeError as error:
         raise TrackerError(f"{name}: cannot be created from TrackerOptions ({error}).") from error
     if not callable(getattr(tracker, "update", None)):
         raise TrackerError(
             f"{name}: expected a method update(detections, time_s, image), found none."
         )
-    return tracker
+    min_score = listed.min_score if options.min_score is None else options.min_score
+    return ThresholdedTracker(tracker, min_score) if min_score > 0 else tracker
+
+
+class ThresholdedTracker:
+    """A tracker that gets only the detections with a score of at least `min_score`."""
+
+    def __init__(self, tracker: ObjectTracker, min_score: float) -> None:
+        """Wrap a tracker."""
+        self.tracker, self.min_score = tracker, min_score
+
+    def update(self, detections: Detections, time_s: float, image: Image | None) -> Tracks:
+        """See `ObjectTracker`."""
+        confident = detections.select(detections.score >= self.min_score)
+        return self.tracker.update(confident, time_s, image)
+
+    def __getattr__(self, name: str) -> Any:
+        """The other attributes of the tracker."""
+        return getattr(self.tracker, name)
+
+
+def tracker_class(tracker: ObjectTracker) -> type:
+    """The class of a tracker, also of a thresholded one."""
+    return type(tracker.tracker if isinstance(tracker, ThresholdedTracker) else tracker)
 
 
 def checked_tracks(tracker: ObjectTracker, result: Any) -> Tracks:
     """The result of a tracker's `update`; TrackerError: it is not `Tracks`, or has invalid classes,
     ids or boxes.
     """
-    name = f"{type(tracker).__module__}:{type(tracker).__qualname__}"
+    kind = tracker_class(tracker)
+    name = f"{kind.__module__}:{kind.__qualname__}"
     if not isinstance(result, Tracks):
         raise TrackerError(
             f"{name}: expected Tracks from the tracker's update, got {type(result).__name__}."

@@ -274,9 +274,9 @@ class YoloDetector:
             notes.append(self.model.note)
         if first.n_checked >= N_IMAGES and not first.n_detected:
             notes.append(
-                f"{name} detected nothing of any class on the first {N_IMAGES} images; if they "
-                "show road users, the input or the outputs of the model are interpreted wrongly: "
-                "see `track-range models info --image`."
+                f"{name} detected nothing in the first {N_IMAGES} images; if they show road users, "
+                "the input or the outputs of the model are interpreted wrongly: see "
+                "`track-range models info --image`."
             )
         if self._settings.size_px is not None and None not in self._session.input_shape[2:]:
             notes.append(f"--size is not used: the input of {name} has a fixed size.")

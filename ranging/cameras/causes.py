@@ -75,6 +75,6 @@ class Agreement(NamedTuple):
                 f"distances contain ± {100 * self.sigma_of_distances:.0f} % for it."
             )
         return (
-            f"The {self.of} agrees with the drive within {100 * self.sigma:.0f} % (1 sigma), by "
-            f"{self.evidence}."
+            f"The {self.of} agrees with the drive within {100 * self.sigma:.0f} % (1 sigma). "
+            f"Evidence: {self.evidence}."
         )

@@ -210,7 +210,7 @@ def _of_contacts(
     errors = common_errors(value, variance, inverse, shared_variance=shared_variance)
     sigma = math.sqrt(np.linalg.inv(errors.information)[0, 0])
     of = {Unknown.HEIGHT: 1.0, Unknown.SIZES: 1.0}
-    return Evidence("where road users touch the road", of, float(errors.mean[0]), sigma)
+    return Evidence("the points where road users touch the road", of, float(errors.mean[0]), sigma)
 
 
 def _with_offset(

@@ -171,8 +171,8 @@ class RigHealth:
             )
         left_pct, middle_pct, right_pct = self.before_pct(REFERENCE_M).tolist()
         before = (
-            f"{middle_pct:+.1f} % in the middle, {left_pct:+.1f} and {right_pct:+.1f} % half-way "
-            "to the edges"
+            f"{middle_pct:+.1f} % in the middle, {left_pct:+.1f} % half-way to the left edge and "
+            f"{right_pct:+.1f} % half-way to the right edge"
         )
         if not all(map(math.isfinite, (left_pct, middle_pct, right_pct))):
             before = "more than 100 %"

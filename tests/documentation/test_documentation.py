@@ -74,6 +74,7 @@ def test_command_exists(page, line):
 def test_versions_agree():
     version = tomllib.loads((PROJECT / "pyproject.toml").read_text())["project"]["version"]
     assert yaml.safe_load((PROJECT / "CITATION.cff").read_text())["version"] == version
+    assert f"version = {{{version}}}" in PAGES["docs/project/citing.md"]
     heading = re.search(r"^## (.*)$", (PROJECT / "CHANGELOG.md").read_text(), re.MULTILINE)[1]
     assert re.fullmatch(rf"{re.escape(version)} \((unreleased|\d{{4}}-\d\d-\d\d)\)", heading)
     current = re.findall(

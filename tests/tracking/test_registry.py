@@ -15,6 +15,7 @@ from track_range.tracking.registry import (
     create_tracker,
     find_tracker,
     register_tracker,
+    tracker_class,
 )
 from track_range.tracking.tracks import Tracks
 
@@ -131,3 +132,47 @@ def test_wrong_tracks_of_another_package(ids, x2_px, key_word):
         *(getattr(tracks, n) for n in ("class_id", "score", "observed")),
     )
     assert checked_tracks(GreedyIouTracker(TrackerOptions()), right) is right
+
+
+class ScoresSeen:
+    """A tracker of another package that records the scores that it gets."""
+
+    min_score = 0.5
+
+    def __init__(self, options):
+        self.scores: list[float] = []
+        self.tentative = Tracks.empty()
+
+    def update(self, detections, time_s, image):
+        self.scores += detections.score.tolist()
+        n = len(detections)
+        observed = np.ones(n, np.bool_)
+        boxes = detections.xyxy_px, detections.class_id, detections.score
+        return Tracks(np.arange(n) + 1, *boxes, observed)
+
+
+def scored(*scores: float) -> Detections:
+    boxes_px = np.array([[10.0 * i, 0.0, 10.0 * i + 8.0, 8.0] for i in range(len(scores))])
+    return Detections.of(boxes_px, scores, [2] * len(scores))
+
+
+@pytest.mark.parametrize(
+    ("min_score", "seen"), [(None, [0.5, 0.9]), (0.0, [0.1, 0.5, 0.9]), (0.8, [0.9])]
+)
+def test_a_tracker_gets_the_scores_that_it_expects(min_score, seen):
+    tracker = create_tracker(f"{__name__}:ScoresSeen", TrackerOptions(min_score=min_score))
+    detections = scored(0.1, 0.5, 0.9)
+    assert len(tracker.update(detections, 0.0, None)) == len(seen)
+    assert tracker.scores == seen
+    assert isinstance(tracker.tentative, Tracks)
+    assert tracker_class(tracker) is ScoresSeen
+    with pytest.raises(TrackerError, match="ScoresSeen"):
+        checked_tracks(tracker, None)
+
+
+@pytest.mark.usefixtures("_restored")
+def test_a_registered_tracker_has_a_min_score():
+    register_tracker("confident", ScoresSeen, min_score=0.6)
+    tracker = create_tracker("confident")
+    tracker.update(scored(0.5, 0.7), 0.0, None)
+    assert tracker.scores == [0.7]

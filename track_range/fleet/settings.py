@@ -92,9 +92,9 @@ class FleetSettings(Options):
     dry_run: Annotated[
         bool, _input("List of the clips with problems in their headers, without processing them.")
     ] = False
-    retry_failed: Annotated[bool, _output("Repetition of clips that failed in an earlier run.")] = (
-        False
-    )
+    retry_failed: Annotated[
+        bool, _output("Clips that failed in an earlier run are processed again.")
+    ] = False
     reports: Annotated[
         bool, _output("Report (report.html, summary.json) of each clip in runs/clip=NAME.")
     ] = False

@@ -7,6 +7,7 @@ from track_range.tracking.registry import (
     ObjectTracker,
     TrackerError,
     checked_tracks,
+    tracker_class,
 )
 from track_range.tracking.tracks import Tracks
 
@@ -15,7 +16,7 @@ def tracked(tracker: ObjectTracker, detections: Detections, frame: Frame) -> Tra
     """Tracks of the frame; TrackerError names a tracker of another package and the frame at which
     it failed.
     """
-    kind = type(tracker)
+    kind = tracker_class(tracker)
     where = f"{kind.__module__}:{kind.__qualname__}, frame {frame.index}"
     with named_errors(kind.__module__, where, TrackerError):
         return checked_tracks(tracker, tracker.update(detections, frame.time_s, frame.left))

@@ -109,7 +109,7 @@ def open_pipeline(
     is_ahead = looks_ahead(mounting)
     context = _method_context(settings, calibration, boxes, region, mounting)
     runtime = context.runtime or Runtime()
-    tracker_options = open_tracker_options(settings.reid, runtime)
+    tracker_options = open_tracker_options(settings.reid, runtime, settings.tracker_min_score)
     appearance_notes = () if tracker_options.reid is None else tracker_options.reid.notes
     lane_finder = open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None
     priors = _camera_priors(context, calibration)

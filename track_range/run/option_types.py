@@ -36,6 +36,7 @@ class PipelineKeywords(TypedDict, total=False):
     device: Literal["auto", "cpu", "cuda", "tensorrt", "openvino", "coreml", "directml"] | None
     tracker: str | ObjectTracker | None
     reid: str | Path | None
+    tracker_min_score: float | None
     curves: str | Path | None
     region: Literal["unknown", "europe", "north-america", "east-asia"] | None
     sgbm: bool | None

@@ -51,7 +51,9 @@ class RunView(Options):
             "Coverage, uncertainty and run time of each method, printed at the end.", panel="Output"
         ),
     ] = False
-    show: Annotated[bool, option("Live view of the overlay in a browser.", panel="Output")] = False
+    show: Annotated[
+        bool, option("The overlay is shown in a browser while the run goes on.", panel="Output")
+    ] = False
     serve: Annotated[
         str | None,
         option(

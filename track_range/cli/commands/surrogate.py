@@ -79,7 +79,9 @@ def _surrogate(options: SurrogateOptions) -> None:
         " ".join(filter(None, (row["clip"], row["class"], str(row["track_id"])))) for row in shown
     ]
     title = f"Road users with a TTC, shortest first ({len(shown)} of {len(exposed)})"
-    print_grid(console, _grid(title, "road user", names, shown, ("at s", "min_ttc_front_s_at_s")))
+    print_grid(
+        console, _grid(title, "road user", names, shown, ("at time s", "min_ttc_front_s_at_s"))
+    )
     print_line(
         console,
         "All distances are from the front of the ego vehicle. The gap covers all road users, all "

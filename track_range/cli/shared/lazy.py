@@ -28,6 +28,19 @@ class HelpPage:
     description: str = ""
     examples: Sequence[str] = ()
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the command line; errors of values are worded like those of files."""
+        try:
+            return super().parse_args(ctx, args)  # type: ignore[misc,no-any-return]
+        except typer.BadParameter as error:
+            from pydantic import ValidationError
+
+            if isinstance(error.__cause__, ValidationError):
+                from track_range.foundation.schemas.validation import first_problem
+
+                error.message = f"{first_problem(error.__cause__)[1].removesuffix('.')}."
+            raise
+
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write arguments, and options under the headings of their panels, in the order of
         declaration.

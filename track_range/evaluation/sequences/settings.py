@@ -22,6 +22,7 @@ from track_range.run.options.detection import (
     SizeField,
     ThreadsField,
     TrackerField,
+    TrackerScoreField,
 )
 
 
@@ -103,6 +104,7 @@ class TrackSettings(Options):
     ] = None
     tracker: TrackerField = "deepsort"
     reid: ReidField = None
+    tracker_min_score: TrackerScoreField = None
     online: Annotated[
         bool,
         option(

@@ -92,7 +92,9 @@ def track(
     if settings.reid is not None and None in all_images:
         raise UsageError("--reid needs the images of every sequence; give --images.")
     _check_overwritten(sequences, settings.out)
-    tracker_options = replace(open_tracker_options(settings.reid), is_smoothed=True)
+    tracker_options = replace(
+        open_tracker_options(settings.reid, min_score=settings.tracker_min_score), is_smoothed=True
+    )
     reid_notes = () if tracker_options.reid is None else tracker_options.reid.notes
     for sentence in (*find.ignored_files_note(settings.detections, sequences), *reid_notes):
         note(sentence)

@@ -64,7 +64,9 @@ def label_note(clips: Sequence[Clip]) -> str:
         f"{shown(name)} (did you mean {near[name][0]}?)" if near[name] else shown(name)
         for name in labels
     )
-    return f"Columns and placeholders that are labels, not settings: {named}." if labels else ""
+    if not labels:
+        return ""
+    return f"Labels of the clips, which are no options of a run: {named}."
 
 
 def _clips_in(location: Location, pattern: FilePattern | None) -> list[Clip]:

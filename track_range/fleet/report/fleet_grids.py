@@ -23,7 +23,7 @@ _PER_HOUR: tables.ColumnSpec = ("per hour of video", "per_hour")
 _CLASS_COLUMNS: tuple[tables.ColumnSpec, ...] = (
     ("tracks", "tracks", "{:.0f}"),
     _PER_HOUR,
-    ("mean s visible", "mean_visible_s"),
+    ("visible for s (mean)", "mean_visible_s"),
 )
 _KIND_COLUMNS: tuple[tables.ColumnSpec, ...] = (("events", "events", "{:.0f}"), _PER_HOUR)
 _DRIFT_COLUMNS = ("clips", "from", "to", "median px", "first px", "last px", "change px")
@@ -275,7 +275,9 @@ def _ranking(
         for row in rows
     )
     return tables.Grid(
-        title, ("clip", *(heading for heading, _, _ in measures), "at s", "UTC"), cells
+        title,
+        ("clip", *(heading for heading, _, _ in measures), "time in the clip s", "UTC"),
+        cells,
     )
 
 

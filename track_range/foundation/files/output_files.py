@@ -40,6 +40,10 @@ def make_folder(folder: Path) -> None:
     """Create a folder with its parents, and check it; raises OutputError if files cannot be written
     to it.
     """
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(
+            f"{folder}: expected a folder for the results, found a file; choose another name."
+        )
     probe = folder / ".writable"
     try:
         folder.mkdir(parents=True, exist_ok=True)

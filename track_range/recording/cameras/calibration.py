@@ -225,6 +225,8 @@ class RecordingCalibration:
         # the scale of a pair has its own note
         effect = "All distances share its error. " if len(self.sizes_px) == 1 else ""
         how = "Give --focal-px to replace it."
+        if self.estimate.leading.kind == "usual":
+            how = "Give --focal-px, or the field of view on the box (--lens-fov-deg 140d)."
         return (f"{self.estimate.sentence} {effect}{how}", *self.estimate.advice)
 
     def _focal_notes(self, focal: FocalGuess) -> tuple[str, ...]:
@@ -233,13 +235,13 @@ class RecordingCalibration:
             return of_estimate
         length = (
             f"the focal length is estimated as {focal.focal_px:.0f} px within "
-            f"{100 * focal.sigma:.0f} %, from {focal.source} (give --focal-px if it is known)"
+            f"{100 * focal.sigma:.0f} %, from {focal.source}"
         )
         if len(self.sizes_px) == 1:
             return (
-                f"No calibration: {length}; all distances share its error, which turns and road "
-                "users reduce during a drive, and a recorded drive before it: track-range calibrate "
-                "drive VIDEO --out rig.yaml.",
+                f"No calibration: {length}; all distances share its error, which the drive reduces. "
+                "Give --focal-px, the field of view on the camera's box (--lens-fov-deg 140d), or a "
+                "recorded drive: track-range calibrate drive VIDEO --out rig.yaml.",
             )
         if not self.guesses:
             length = f"the focal length is {focal.focal_px:.0f} px as given"

@@ -96,7 +96,8 @@ def find_layout(video: Video, given: LayoutOption) -> FoundLayout:
             "each other, or use --mono."
         )
     raise VideoError(
-        f"{video.path}: expected the images of two cameras in one image, found no two halves that "
+        f"{video.path}: expected the images of two cameras in this recording, which was given "
+        "alone or as both videos, found no two halves that "
         "match; give the right video as well, or --stereo-layout side-by-side, right-left, "
         "top-bottom, bottom-top or tracks (Python: stereo_layout), or use --mono."
     )

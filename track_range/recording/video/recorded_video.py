@@ -116,6 +116,6 @@ class RecordedVideo(Video):
             part = f" to {until_s:.2f} s" if until_s < end_s else ""
             end = "" if math.isinf(end_s) else f" and ends at {end_s:.2f} s"
             raise VideoError(
-                f"{self.path}: there is no frame from {from_s:.2f} s{part}; choose another start "
-                f"or duration (the video starts at {self.first_time_s:.2f} s{end})."
+                f"{self.path}: expected frames from {from_s:.2f} s{part} on, found none, since the "
+                f"video starts at {self.first_time_s:.2f} s{end}; choose another start or duration."
             )

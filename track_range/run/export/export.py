@@ -89,7 +89,7 @@ class ExportSettings(Options):
     ]
     to: Annotated[str, option("Format of the output.", choices=export_formats)]
     out: Annotated[Path, option("File to write; a folder for yolo.", metavar="PATH")]
-    observed_only: Annotated[bool, option("Output without predicted boxes.")] = False
+    observed_only: Annotated[bool, option("Only detected boxes, no predicted ones.")] = False
     images: Annotated[
         bool,
         option(

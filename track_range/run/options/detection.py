@@ -112,6 +112,19 @@ ReidField = Annotated[
     ),
 ]
 
+TrackerScoreField = Annotated[
+    float | None,
+    option(
+        "Smallest confidence of the detections that the tracker gets, for trackers of other "
+        "packages that expect confident ones (default: as the tracker is registered, else all "
+        "detections, from --min-score on).",
+        metavar="SCORE",
+        is_shared=True,
+        ge=0,
+        le=1,
+    ),
+]
+
 
 def input_size(option: int | str | None) -> int | tuple[int, int] | None:
     """Longer side, or width and height, of a network's input in pixels from `PX` or `WxH`;
@@ -261,6 +274,7 @@ class TrackingOptions(Options):
 
     tracker: TrackerField = "deepsort"
     reid: ReidField = None
+    tracker_min_score: TrackerScoreField = None
 
     @model_validator(mode="after")
     def _known_tracker(self) -> Self:

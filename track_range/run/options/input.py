@@ -168,7 +168,7 @@ class InputOptions(Options):
     every: Annotated[
         int,
         option(
-            "Processing of every N-th frame only; time steps are taken between processed frames.",
+            "Only every N-th frame is processed; time steps are those between processed frames.",
             metavar="N",
             ge=1,
             le=1000,
@@ -178,7 +178,7 @@ class InputOptions(Options):
     realtime: Annotated[
         bool,
         option(
-            "Reading of a file at the pace of a camera: no frame is read before its time, and "
+            "A file is read at the pace of a camera: no frame is read before its time, and "
             "frames are dropped if the machine is too slow.",
             instead="clips of a fleet are recordings, which are processed as fast as possible",
         ),

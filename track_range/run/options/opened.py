@@ -139,11 +139,14 @@ def thresholds(
     return (otherwise if min_score is None else min_score), tuple(by_class)
 
 
-def open_tracker_options(reid: Path | None, runtime: Runtime | None = None) -> TrackerOptions:
+def open_tracker_options(
+    reid: Path | None, runtime: Runtime | None = None, min_score: float | None = None
+) -> TrackerOptions:
     """Options for trackers, with the re-identification network loaded if there is one; else
     ModelError.
     """
-    return TrackerOptions(reid=None if reid is None else ReidModel(reid, runtime))
+    model = None if reid is None else ReidModel(reid, runtime)
+    return TrackerOptions(reid=model, min_score=min_score)
 
 
 class OpenedDetectors:

@@ -259,7 +259,7 @@ def test_short_fleets_have_no_rates(tmp_path, scratch):
     ]
     sections = {section.anchor: section for section in fleet_sections(figures)}
     (classes,) = sections["road-users"].grids
-    assert classes.columns == ("class", "tracks", "mean s visible")
+    assert classes.columns == ("class", "tracks", "visible for s (mean)")
     work = sections["throughput"].grids[0]
     assert (
         dict(zip(work.columns, (cell.text for cell in work.rows[0]), strict=True))["video s"]

@@ -85,7 +85,7 @@ def _drive_grids(figures: Mapping[str, Any]) -> Iterator[Grid]:
         (*map(row.get, _CONTACT), "hit" if row["is_hit"] else "miss", row["lead_s"])
         for row in figures.get("contacts", [])
     ]
-    yield _grid("Contacts", ("object", "class", "at s", "", "lead s"), contacts)
+    yield _grid("Contacts", ("object", "class", "at time s", "", "lead s"), contacts)
     happens = [
         (number, *map(row.get, _OCCURRENCE), next(iter(row["warnings_s"]), None), row["lead_s"])
         for number, row in enumerate(figures.get("occurrences", []), 1)

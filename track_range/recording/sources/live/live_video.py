@@ -7,6 +7,7 @@ dropped and counted
 
 from __future__ import annotations
 
+import errno
 import math
 import threading
 import time
@@ -340,9 +341,12 @@ def _opened(address: LiveAddress) -> InputContainer:
     except (av.FFmpegError, ValueError) as error:
         noun = "camera" if address.is_camera else "stream"
         reason = _reason(error, timeout_s=_OPEN_S)
-        raise VideoError(
-            f"{address}: the {noun} cannot be opened ({reason}); check the address."
-        ) from error
+        check = (
+            "choose a camera, such as 0 for /dev/video0"
+            if address.is_camera
+            else "check the address"
+        )
+        raise VideoError(f"{address}: the {noun} cannot be opened ({reason}); {check}.") from error
     if not container.streams.video:
         container.close()
         raise VideoError(f"{address}: the stream contains no video; check the address.")
@@ -352,4 +356,6 @@ def _opened(address: LiveAddress) -> InputContainer:
 def _reason(error: Exception, *, timeout_s: float = SILENCE_S) -> str:
     if isinstance(error, av.error.ExitError):
         return f"no answer for {timeout_s:.0f} s"
+    if getattr(error, "errno", None) == errno.ENOTTY:
+        return "it is another kind of device"
     return getattr(error, "strerror", None) or str(error)
