@@ -29,7 +29,8 @@ MOST_STATEMENTS = {
     # riders whose name changes (17)
     # a similarity by sums, given up early (21); the second class of a track in doubt (23)
     # all classes of KITTI's benchmark at once (8)
-    "tracking": 1_639,  # frames that could not show small objects (4)
+    # a threshold of the detections that a tracker gets (20)
+    "tracking": 1_654,  # frames that could not show small objects (4)
     # packed assignments became a line for each value (50); the alignment below rigs (10); what a
     # pair shows and its consequence apart (10); guesses of focal lengths and the ego speed, which
     # recordings need (60); values of calibrations that know their file and key, and a module for
@@ -72,7 +73,8 @@ MOST_STATEMENTS = {
     # the part of the sensor that images show (14)
     # the offset of the clocks of two videos, from their images (61)
     # cameras in lists, stretched images and regions named, and the pair of a rectifier (25)
-    "stereo": 10_408,
+    # the usual focal length by the diagonal, and calibrations named after a video (5)
+    "stereo": 10_413,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
@@ -122,7 +124,7 @@ MOST_STATEMENTS = {
     # the rest of a drive whose turn the motion does not confirm (26)
     # lane lines between the boxes (1), and the mounting that a recording shows (46)
     # what never moves in a recording, before its run (18)
-    "calibration": 1_445,
+    "calibration": 1_449,
     # notes on packages (5); a command with sub-commands (50)
     # recordings before which an option is missing, also of a command with sub-commands (11)
     # the values of a pair with those of its evidence (+20)
@@ -132,7 +134,7 @@ MOST_STATEMENTS = {
     # tables by cell, and by drive where there are several (12)
     # names of cameras of a fleet's check (1)
     # `evaluate run` (15)
-    "cli": 2_497,
+    "cli": 2_506,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (143), several drives together, and intervals of rates (49)
@@ -141,10 +143,10 @@ MOST_STATEMENTS = {
     # the rate of labels is no rate of files (2)
     # names of class numbers of `track` (2)
     # a finished run against ground truth (25)
-    "evaluation": 1_884,  # times and region of labelled motion, and every class of nuScenes (10)
+    "evaluation": 1_885,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     # earlier names of columns (4)
-    "fleet": 3_243,  # what a lost worker counts as is a function that tests call (5)
+    "fleet": 3_245,  # what a lost worker counts as is a function that tests call (5)
     # contradictions name their options (9); one registry with priorities and notes (65)
     # one registry with priorities and notes (5); functions of packages guarded in one place (50);
     # the flow of long tracks, below the two estimators that follow corners (35)
@@ -154,7 +156,7 @@ MOST_STATEMENTS = {
     # corners (60)
     # lines before the header of a table (10)
     # hashes of the content of inputs (34), and the commit of a package (14)
-    "foundation": 1_945,
+    "foundation": 1_947,
     # each stage has a frozen output, and `FrameResult` consists of them (165); the detection and the
     # scale report (9)
     # the way of a repeated image (45); the scale of a pair, corrected in one place (7); the
@@ -191,7 +193,8 @@ MOST_STATEMENTS = {
     # (64); clocks of a pair with other origins (82)
     # names of cameras without a file are refused (4)
     # depth tracks by their names, counters behind dates, offsets of unequal rates (7)
-    "recording": 7_995,
+    # fields of view and models of lenses that the user knows (75), and files that count for a folder (15)
+    "recording": 8_099,
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)
     # the shape of an estimate of a camera (20)
@@ -218,7 +221,8 @@ MOST_STATEMENTS = {
     # what an empty scenario lacks (2)
     # names of class numbers as an option (7)
     # hashes of all inputs of a run (47)
-    "run": 2_550,
+    # options of the lens and of the tracker's threshold, and results of other recordings (35)
+    "run": 2_587,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that
     # look to any side from any place of the vehicle (24)
     # vehicles out of side roads, which cross or give way (39)

@@ -19,7 +19,17 @@ from track_range.foundation.schemas.schema_version import METADATA_PREFIX, SCHEM
 
 _NOT_HASHED = frozenset(  # settings of the output files, which do not affect the rows
     (
-        *("out", "table", "write", "mcap_profile", "mcap_images", "overlay", "clips", "keep_gps"),
+        *(
+            "out",
+            "overwrite",
+            "table",
+            "write",
+            "mcap_profile",
+            "mcap_images",
+            "overlay",
+            "clips",
+            "keep_gps",
+        ),
         *("disparity", "overlay_disparity"),
     )
 )
