@@ -17,7 +17,14 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.ranging.truth.errors import BANDS_M, MethodColumn, score_bands, score_rows
+from track_range.foundation.bootstrap import CI95, Resamples, Statistic, figures_of
+from track_range.ranging.truth.errors import (
+    BANDS_M,
+    MethodColumn,
+    distance_statistics,
+    score_bands,
+    score_rows,
+)
 from track_range.ranging.truth.label_classes import SIZE_CLASS_ORDER as CLASSES
 from track_range.ranging.truth.labelled_boxes import BoxSet
 from track_range.stereo.evaluation.disparity_errors import MatcherColumn, risk_coverage
@@ -28,7 +35,8 @@ NEAREST_M, FAR_M = 10.0, 30.0
 CLOSING_HALF_SPAN_S = 0.5
 # metrics of each drive besides the number of its tracks: number of boxes, median signed error,
 # fractions within one and two sigma
-_DRIVE_KEYS = ("n", "bias_pct", "within_1_sigma", "within_2_sigma")
+_DRIVE_FIGURES = ("bias_pct", "within_1_sigma", "within_2_sigma")
+_DRIVE_KEYS = ("n", *_DRIVE_FIGURES, *(name + CI95 for name in _DRIVE_FIGURES))
 # smallest number of boxes of a drive that may be named as the worst: fewer are one or two tracks
 _MIN_DRIVE_BOXES = 30
 _MIN_M = 0.1  # smallest distance in m in ratios and logarithms: polynomials may be negative
@@ -45,43 +53,52 @@ METRICS = (
 """Keys of the metrics of published evaluations."""
 
 
-def figures(boxes: BoxSet, column: MethodColumn) -> dict[str, dict[str, Any]]:
-    """Metrics of measured distances by class."""
+def figures(boxes: BoxSet, column: MethodColumn, seed: int = 0) -> dict[str, dict[str, Any]]:
+    """Metrics of measured distances by class, with 95 % intervals by resampling drives and tracks."""
     present = [name for name in CLASSES if (boxes.class_name == name).any()]
-    return {name: _class_figures(boxes, column, boxes.class_name == name) for name in present}
+    return {name: _class_figures(boxes, column, boxes.class_name == name, seed) for name in present}
 
 
-def _class_figures(boxes: BoxSet, column: MethodColumn, is_class: BoolArray) -> dict[str, Any]:
+def _class_figures(
+    boxes: BoxSet, column: MethodColumn, is_class: BoolArray, seed: int
+) -> dict[str, Any]:
     true_m = boxes.distance_m
     in_span = is_class & (true_m >= NEAREST_M) & (true_m <= BANDS_M[-1])
     tracks = np.unique(np.stack([boxes.sequence, boxes.track_id])[:, in_span], axis=1)
-    key = "mean_relative_error_pct"
-    by_drive = _drive_figures(boxes, column, in_span)
+    resamples = Resamples.of(boxes.track_id, drive=boxes.sequence, seed=seed, rows=is_class)
+    is_far = true_m >= FAR_M
+    parts = {
+        "rear_view_pct": boxes.is_rear_view,
+        "far_pct": is_far,
+        "rear_view_far_pct": boxes.is_rear_view & is_far,
+    }
+    statistics = {
+        name: distance_statistics(column, true_m, in_span & rows)["mean_relative_error_pct"]
+        for name, rows in parts.items()
+    }
+    by_drive = _drive_figures(boxes, column, in_span, seed)
     return {
-        **score_rows(column, true_m, in_span),
+        **score_rows(column, true_m, in_span, resamples),
         "n_tracks": tracks.shape[1],
-        "rear_view_pct": score_rows(column, true_m, in_span & boxes.is_rear_view)[key],
-        "far_pct": score_rows(column, true_m, in_span & (true_m >= FAR_M))[key],
-        "rear_view_far_pct": score_rows(
-            column, true_m, in_span & boxes.is_rear_view & (true_m >= FAR_M)
-        )[key],
-        "bands": score_bands(column, true_m, is_class),
+        **figures_of(statistics, resamples),
+        "bands": score_bands(column, true_m, is_class, resamples),
         "by_drive": by_drive,
         "worst_drive": _worst_drive(by_drive),
     }
 
 
 def _drive_figures(
-    boxes: BoxSet, column: MethodColumn, rows: BoolArray
+    boxes: BoxSet, column: MethodColumn, rows: BoolArray, seed: int
 ) -> dict[str, dict[str, Any]]:
     """Metrics by the name of the drive, of the drives that have boxes among `rows` (N,)."""
     by_drive = {}
     for number in np.unique(boxes.sequence[rows]).tolist():
         in_drive = rows & (boxes.sequence == number)
-        scores = score_rows(column, boxes.distance_m, in_drive)
+        tracks = Resamples.of(boxes.track_id, seed=seed, rows=in_drive)
+        scores = score_rows(column, boxes.distance_m, in_drive, tracks)
         by_drive[boxes.sequence_names[number]] = {
             "n_tracks": len(np.unique(boxes.track_id[in_drive])),
-            **{key: scores[key] for key in _DRIVE_KEYS},
+            **{key: scores[key] for key in _DRIVE_KEYS if key in scores},
         }
     return by_drive
 
@@ -127,7 +144,9 @@ def true_closing_mps(boxes: BoxSet) -> FloatArray:
     return np.where(known, closed_m / np.where(known, span_s, 1.0), np.nan)
 
 
-def closing_figures(boxes: BoxSet, closing_mps: FloatArray) -> dict[str, dict[str, Any]]:
+def closing_figures(
+    boxes: BoxSet, closing_mps: FloatArray, seed: int = 0
+) -> dict[str, dict[str, Any]]:
     """Number of boxes, and median and 95th percentile of the closing speed error at 10-100 m, by
     class.
     """
@@ -135,18 +154,16 @@ def closing_figures(boxes: BoxSet, closing_mps: FloatArray) -> dict[str, dict[st
     in_span = np.isfinite(error) & (boxes.distance_m >= NEAREST_M)
     by_class = {}
     for name in CLASSES:
-        class_error = error[in_span & (boxes.class_name == name)]
-        if (boxes.class_name == name).any():
-            median, p95 = (
-                np.percentile(class_error, [50, 95]).round(4).tolist()
-                if len(class_error)
-                else (None, None)
-            )
-            by_class[name] = {
-                "closing_n": len(class_error),
-                "closing_median_error_mps": median,
-                "closing_p95_error_mps": p95,
+        is_class = boxes.class_name == name
+        if is_class.any():
+            resamples = Resamples.of(boxes.track_id, drive=boxes.sequence, seed=seed, rows=is_class)
+            values = np.where(in_span & is_class, error, np.nan)
+            statistics = {
+                "closing_median_error_mps": Statistic(values, 0.5),
+                "closing_p95_error_mps": Statistic(values, 0.95),
             }
+            n = int((in_span & is_class).sum())
+            by_class[name] = {"closing_n": n, **figures_of(statistics, resamples)}
     return by_class
 
 

@@ -56,9 +56,9 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
     measured: dict[str, MethodColumn] = {}
     for name, column in columns.items():
         measured[name], closing_mps = filtered(boxes, column, settings.filter)
-        methods[name] = box_evaluation.figures(boxes, measured[name])
+        methods[name] = box_evaluation.figures(boxes, measured[name], settings.seed)
         if settings.filter != "none":
-            closing = box_evaluation.closing_figures(boxes, closing_mps)
+            closing = box_evaluation.closing_figures(boxes, closing_mps, settings.seed)
             for class_name, scores in methods[name].items():
                 scores |= closing.get(class_name, {})
     risks = {name: box_evaluation.distance_risk(boxes, c) for name, c in measured.items()}

@@ -8,7 +8,7 @@ the same labels. `coverage` is the fraction of matched track-frames that a metho
 the same objects.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -19,6 +19,7 @@ from scipy.optimize import linear_sum_assignment
 
 from track_range.detection.boxes import iou
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.bootstrap import CI95, Resamples, Statistic, figures_of
 from track_range.ranging.truth.truth import Truth
 
 # edges of the distance bands for which errors are reported
@@ -73,16 +74,24 @@ def score_methods(
     *,
     is_road_class: BoolArray,
     kitti_type: npt.NDArray[np.str_],
+    track_id: IntArray | None = None,
+    seed: int = 0,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Scores of each method on the track-frames that it measured, and on the track-frames that all
     methods measured.
 
+    With the true tracks (N,), figures have 95 % intervals, by resampling tracks (`foundation.bootstrap`).
     Methods with a coverage below 0.5 are not part of the common scores. `true_m` (N,) is NaN where
     unknown. Labels that are not of a road class (Van, Tram) appear in `by_class` only.
     """
     in_span = (true_m >= BANDS_M[0]) & (true_m <= BANDS_M[-1])
+    resamples = (
+        None
+        if track_id is None
+        else Resamples.of(track_id, seed=seed, rows=in_span & is_road_class)
+    )
     separate = {
-        name: _score_with_bands(c, true_m, in_span=in_span & is_road_class)
+        name: _score_with_bands(c, true_m, in_span & is_road_class, resamples)
         for name, c in methods.items()
     }
     for name, column in methods.items():
@@ -98,7 +107,7 @@ def score_methods(
     is_measured = [np.isfinite(column.distance_m) for column in compared.values()]
     in_common = in_span & is_road_class & np.all(is_measured or [in_span], axis=0)
     common = {
-        name: _score_with_bands(column, true_m, in_span=in_common)
+        name: _score_with_bands(column, true_m, in_common, resamples)
         for name, column in compared.items()
     }
     return separate, common
@@ -106,13 +115,9 @@ def score_methods(
 
 def coverage_only(methods: Mapping[str, MethodColumn]) -> dict[str, Any]:
     """Scores of each method without ground truth: coverage and sigma; errors are None."""
-    empty = np.zeros(0)
     return {
         name: {
-            **_figures(empty, empty),
-            "coverage": fraction(np.isfinite(column.distance_m)),
-            "n": int(np.isfinite(column.distance_m).sum()),
-            "median_sigma_pct": _sigma_pct(column, np.isfinite(column.distance_m)),
+            **score_rows(column, np.full_like(column.distance_m, np.nan), column.distance_m != 0),
             "bands": [],
         }
         for name, column in methods.items()
@@ -120,48 +125,98 @@ def coverage_only(methods: Mapping[str, MethodColumn]) -> dict[str, Any]:
 
 
 def _score_with_bands(
-    column: MethodColumn, true_m: FloatArray, *, in_span: BoolArray
+    column: MethodColumn, true_m: FloatArray, in_span: BoolArray, resamples: Resamples | None
 ) -> dict[str, Any]:
     keys = (
         "from_m",
         "to_m",
         "n",
-        "mean_relative_error_pct",
-        "median_relative_error_pct",
-        "bias_pct",
-        "within_25_percent",
+        *(
+            "mean_relative_error_pct",
+            "median_relative_error_pct",
+            "bias_pct",
+            "within_25_percent",
+        ),
     )
-    bands = [{key: band[key] for key in keys} for band in score_bands(column, true_m, in_span)]
-    return {**score_rows(column, true_m, in_span), "bands": bands}
+    listed = {*keys, *(key + CI95 for key in keys)}
+    bands = [
+        {key: value for key, value in band.items() if key in listed}
+        for band in score_bands(column, true_m, in_span, resamples)
+    ]
+    return {**score_rows(column, true_m, in_span, resamples), "bands": bands}
 
 
-def score_bands(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> list[dict[str, Any]]:
+def score_bands(
+    column: MethodColumn,
+    true_m: FloatArray,
+    rows: BoolArray,
+    resamples: Resamples | None = None,
+) -> list[dict[str, Any]]:
     """`score_rows` in each distance band of `BANDS_M`."""
     return [
         {
             "from_m": low,
             "to_m": high,
-            **score_rows(column, true_m, rows & (true_m >= low) & (true_m < high)),
+            **score_rows(column, true_m, rows & (true_m >= low) & (true_m < high), resamples),
         }
         for low, high in pairwise(BANDS_M)
     ]
 
 
-def score_rows(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> dict[str, Any]:
-    """Metrics of one method over its measured rows of `rows` (N,); None = no measured rows."""
+def score_rows(
+    column: MethodColumn,
+    true_m: FloatArray,
+    rows: BoolArray,
+    resamples: Resamples | None = None,
+) -> dict[str, Any]:
+    """Metrics of one method over its measured rows of `rows` (N,), with resamples of their 95 %
+    intervals (`NAME_ci95`); None = no measured rows.
+    """
+    statistics = distance_statistics(column, true_m, rows)
+    figures = figures_of(statistics, resamples)
+    # NaN of the coverage are other rows
+    is_measured = statistics["coverage"].values == 1
+    counts: dict[str, Any] = {"coverage": figures.pop("coverage"), "n": int(is_measured.sum())}
+    if resamples is not None:
+        counts["n_tracks"] = len(np.unique(resamples.block[is_measured]))
+    return {**counts, **figures}
+
+
+def distance_statistics(
+    column: MethodColumn, true_m: FloatArray, rows: BoolArray
+) -> dict[str, Statistic]:
+    """The figures of one method's distances in the rows (N,), before their average."""
     measured = np.isfinite(column.distance_m) & rows
-    error = column.distance_m[measured] / true_m[measured] - 1
-    in_sigmas = np.abs(column.distance_m - true_m)[measured] / column.sigma_m[measured]
+    distance_m, sigma_m, true_m = (
+        np.where(measured, values, np.nan) for values in (column.distance_m, column.sigma_m, true_m)
+    )
+    error, in_sigmas = distance_m / true_m - 1, np.abs(distance_m - true_m) / sigma_m
+    size = np.abs(error)
     return {
-        "coverage": fraction(measured[rows]),
-        "n": int(measured.sum()),
-        **_figures(error, in_sigmas),
-        "median_sigma_pct": _sigma_pct(column, measured),
+        "coverage": Statistic(np.where(rows, measured, np.nan)),
+        "mean_relative_error_pct": Statistic(size, scale=100),
+        "median_relative_error_pct": Statistic(size, 0.5, 100),
+        "bias_pct": Statistic(error, 0.5, 100),
+        "within_25_percent": Statistic(np.where(np.isfinite(size), size <= _GROSS_ERROR, np.nan)),
+        **within_sigmas(in_sigmas),
+        "median_sigma_pct": Statistic(sigma_m / distance_m, 0.5, 100),
+    }
+
+
+def within_sigmas(in_sigmas: FloatArray, limits: Sequence[int] = (1, 2)) -> dict[str, Statistic]:
+    """Fractions of errors (N,) in units of sigma within these limits; NaN = sigma unknown."""
+    is_known = np.isfinite(in_sigmas)
+    return {
+        f"within_{k}_sigma": Statistic(np.where(is_known, in_sigmas <= k, np.nan)) for k in limits
     }
 
 
 def score_closing(
-    closing_mps: FloatArray, sigma_mps: FloatArray, true_mps: FloatArray
+    closing_mps: FloatArray,
+    sigma_mps: FloatArray,
+    true_mps: FloatArray,
+    track_id: IntArray | None = None,
+    seed: int = 0,
 ) -> dict[str, Any] | None:
     """Errors of (N,) closing speeds in m/s over the rows with a true speed; None if there is no
     such row.
@@ -170,50 +225,18 @@ def score_closing(
     if not rows.any():
         return None
     measured = rows & np.isfinite(closing_mps)
-    error_mps = (closing_mps - true_mps)[measured]
-    in_sigmas = np.abs(error_mps) / sigma_mps[measured]
-    n = len(error_mps)
-    return {
-        "coverage": fraction(measured[rows]),
-        "n": n,
-        **_statistics(error_mps, ("mean_error_mps", "median_error_mps", "bias_mps")),
+    error_mps = np.where(measured, closing_mps - true_mps, np.nan)
+    in_sigmas = np.abs(error_mps) / sigma_mps
+    statistics = {
+        "mean_error_mps": Statistic(np.abs(error_mps)),
+        "median_error_mps": Statistic(np.abs(error_mps), 0.5),
+        "bias_mps": Statistic(error_mps, 0.5),
         **within_sigmas(in_sigmas),
-        "median_sigma_mps": _rounded(np.median(sigma_mps[measured])) if n else None,
+        "median_sigma_mps": Statistic(np.where(measured, sigma_mps, np.nan), 0.5),
     }
-
-
-def _sigma_pct(column: MethodColumn, measured: BoolArray) -> float | None:
-    """Median relative sigma of a method in per cent; None = no sigmas."""
-    sigma = (column.sigma_m / column.distance_m)[measured & np.isfinite(column.sigma_m)]
-    return _rounded(100 * np.median(sigma)) if len(sigma) else None
-
-
-def _figures(error: FloatArray, in_sigmas: FloatArray) -> dict[str, Any]:
-    """Metrics of relative errors (N,) and of errors in units of sigma (N,); None if N = 0."""
-    names = ("mean_relative_error_pct", "median_relative_error_pct", "bias_pct")
-    return {
-        **_statistics(error, names, scale=100),
-        "within_25_percent": fraction(np.abs(error) <= _GROSS_ERROR),
-        **within_sigmas(in_sigmas),
-    }
-
-
-def _statistics(
-    error: FloatArray, names: tuple[str, str, str], *, scale: int = 1
-) -> dict[str, float | None]:
-    """Mean and median absolute error and median error by name, multiplied by `scale`; None without
-    errors.
-    """
-    if not len(error):
-        return dict.fromkeys(names)
-    values = np.abs(error).mean(), np.median(np.abs(error)), np.median(error)
-    return {name: _rounded(scale * value) for name, value in zip(names, values, strict=True)}
-
-
-def within_sigmas(in_sigmas: FloatArray) -> dict[str, float | None]:
-    """Fractions of errors (N,) in units of sigma within 1 and 2; NaN = sigma unknown."""
-    known = in_sigmas[np.isfinite(in_sigmas)]
-    return {"within_1_sigma": fraction(known <= 1), "within_2_sigma": fraction(known <= 2)}
+    resamples = None if track_id is None else Resamples.of(track_id, seed=seed, rows=rows)
+    counts = {"coverage": fraction(measured[rows]), "n": int(measured.sum())}
+    return {**counts, **figures_of(statistics, resamples)}
 
 
 def fraction(mask: BoolArray) -> float | None:

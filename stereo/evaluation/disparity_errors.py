@@ -30,12 +30,12 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.bootstrap import CI95, Resamples, Statistic, figures_of
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 
 BANDS_M = ((5.0, 15.0), (15.0, 30.0), (30.0, 60.0))  # bands of true distance with separate metrics
 FAILURE = 0.15  # relative distance error above which a value is a failure
-N_RESAMPLES = 500  # number of bootstrap samples
 STEP_PCT = 5  # step of the answered fraction along a curve, per cent
 # figures of the answered boxes
 _KEYS = ("failures_pct", "mean_relative_error_pct", "p95_relative_error_pct")
@@ -158,30 +158,30 @@ def common_figures(
 
 def figures(column: MatcherColumn, true_px: FloatArray) -> dict[str, Any]:
     """Metrics of one matcher for objects with true disparities (N,); None where undefined."""
+    counts = {
+        "n": len(true_px),
+        "n_measured": int(np.isfinite(column.disparity_px).sum()),
+    }
+    return {**counts, **figures_of(_statistics(column, true_px))}
+
+
+def _statistics(column: MatcherColumn, true_px: FloatArray) -> dict[str, Statistic]:
+    """The metrics of one matcher before their average over the objects (N,)."""
     is_measured = np.isfinite(column.disparity_px)
-    n, measured_px = len(is_measured), column.disparity_px[is_measured]
-    expected_px, sigma_px = true_px[is_measured], column.sigma_px[is_measured]
-    error, abs_error_px = expected_px / measured_px - 1, np.abs(measured_px - expected_px)
-    n_wrong = int((np.abs(error) > FAILURE).sum())
-    n_failed = int((~is_measured).sum()) + n_wrong
-    has_value = len(error) > 0
+    error = np.where(is_measured, true_px / column.disparity_px - 1, np.nan)
+    size, error_px = np.abs(error), np.abs(column.disparity_px - true_px)
+    is_wrong = size > FAILURE  # False for NaN
+    within = {k: np.where(is_measured, error_px <= k * column.sigma_px, np.nan) for k in (1, 2)}
     return {
-        "coverage": _rounded(is_measured.mean()) if n else None,
-        "failures_pct": _rounded(100 * n_failed / n) if n else None,
-        "wrong_pct": _rounded(100 * n_wrong / n) if n else None,
-        "n": n,
-        "n_measured": len(error),
-        "median_relative_error_pct": _rounded(100 * np.median(np.abs(error)))
-        if has_value
-        else None,
-        "mean_relative_error_pct": _rounded(100 * np.abs(error).mean()) if has_value else None,
-        "p95_relative_error_pct": _rounded(100 * np.percentile(np.abs(error), 95))
-        if has_value
-        else None,
-        "bias_pct": _rounded(100 * np.median(error)) if has_value else None,
-        "median_abs_error_px": _rounded(np.median(abs_error_px)) if has_value else None,
-        "within_1_sigma": _rounded((abs_error_px <= sigma_px).mean()) if has_value else None,
-        "within_2_sigma": _rounded((abs_error_px <= 2 * sigma_px).mean()) if has_value else None,
+        "coverage": Statistic(is_measured.astype(np.float64)),
+        "failures_pct": Statistic((~is_measured | is_wrong).astype(np.float64), scale=100),
+        "wrong_pct": Statistic(is_wrong.astype(np.float64), scale=100),
+        "median_relative_error_pct": Statistic(size, 0.5, 100),
+        "mean_relative_error_pct": Statistic(size, scale=100),
+        "p95_relative_error_pct": Statistic(size, 0.95, 100),
+        "bias_pct": Statistic(error, 0.5, 100),
+        "median_abs_error_px": Statistic(error_px, 0.5),
+        **{f"within_{k}_sigma": Statistic(values) for k, values in within.items()},
     }
 
 
@@ -197,32 +197,14 @@ def _figures_with_bands(column: MatcherColumn, objects: Objects, *, seed: int) -
 def figures_with_intervals(
     column: MatcherColumn, objects: Objects, *, seed: int = 0
 ) -> dict[str, Any]:
-    """Metrics of one matcher with their bootstrap intervals."""
-    return {**figures(column, objects.true_px), "intervals": _intervals(column, objects, seed=seed)}
-
-
-def _intervals(column: MatcherColumn, objects: Objects, *, seed: int) -> dict[str, list[float]]:
-    """95 % bootstrap interval of each figure, by resampling groups; none with fewer than two
-    groups.
+    """Metrics of one matcher with their bootstrap intervals, by resampling groups, as `NAME_ci95`
+    and in `intervals` by name; none with fewer than two groups.
     """
-    members = [np.flatnonzero(objects.group == number) for number in np.unique(objects.group)]
-    if len(members) < 2:
-        return {}
-    rng = np.random.default_rng(seed)
-    drawn: dict[str, list[float]] = {}
-    for choice in rng.integers(len(members), size=(N_RESAMPLES, len(members))):
-        rows = np.concatenate([members[number] for number in choice])
-        for key, value in figures(column.select(rows), objects.true_px[rows]).items():
-            if value is not None and not key.startswith("n"):
-                drawn.setdefault(key, []).append(value)
-    return {
-        key: [_rounded(end) for end in np.percentile(values, [2.5, 97.5])]
-        for key, values in drawn.items()
-    }
-
-
-def _rounded(value: Any) -> float:
-    return round(float(value), 4)
+    statistics = _statistics(column, objects.true_px)
+    resamples = Resamples.of(objects.group, seed=seed, rows=np.ones(len(objects), np.bool_))
+    known = figures_of(statistics, resamples)
+    intervals = {name: known[name + CI95] for name in statistics if name + CI95 in known}
+    return {**figures(column, objects.true_px), **known, "intervals": intervals}
 
 
 def risk_coverage(

@@ -74,6 +74,7 @@ MOST_STATEMENTS = {
     # the offset of the clocks of two videos, from their images (61)
     # cameras in lists, stretched images and regions named, and the pair of a rectifier (25)
     # the usual focal length by the diagonal, and calibrations named after a video (5)
+    # without a bootstrap of its own (-8)
     "stereo": 10_413,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
@@ -111,6 +112,7 @@ MOST_STATEMENTS = {
     # the states of all filters in one array (9), scales and sums once per evaluation of the cameras
     # (31), and fusion, warnings and the world by columns (70)
     # the camera that labels determine (50)
+    # intervals of distances and closing speeds (10)
     "ranging": 7_631,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
@@ -143,6 +145,7 @@ MOST_STATEMENTS = {
     # the rate of labels is no rate of files (2)
     # names of class numbers of `track` (2)
     # a finished run against ground truth (25)
+    # intervals of tracks and motion (25)
     "evaluation": 1_885,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     # earlier names of columns (4)
@@ -156,6 +159,7 @@ MOST_STATEMENTS = {
     # corners (60)
     # lines before the header of a table (10)
     # hashes of the content of inputs (34), and the commit of a package (14)
+    # the block bootstrap of all figures (65)
     "foundation": 1_947,
     # each stage has a frozen output, and `FrameResult` consists of them (165); the detection and the
     # scale report (9)
@@ -231,6 +235,7 @@ MOST_STATEMENTS = {
     # the share within 25 % (1)
     # thresholds of the alarm beside the probability of contact, and sigmas of events (21)
     # what a run without road users says (2)
+    # paired errors of two runs, and intervals in tables (55)
     "views": 2_653,
     "track_range": 101,  # a module of errors and one of evaluations, each with its names for type checkers (18)
 }

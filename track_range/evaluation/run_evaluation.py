@@ -23,6 +23,7 @@ class RunEvaluationSettings(TruthOptions):
         Path,
         option("Result folder of a run.", metavar="DIR", is_argument=True),
     ]
+    seed: Annotated[int, option("Random seed of the 95 % intervals.", ge=0)] = 0
     store: Annotated[
         bool,
         option(
@@ -56,7 +57,7 @@ def evaluate_run(settings: RunEvaluationSettings) -> dict[str, Any]:
         "run": str(settings.folder),
         "settings": {name: given[name] for name in names if name in given},
         "frames": len(frames),
-        **truth_figures(run.rows, matched, methods, frames),
+        **truth_figures(run.rows, matched, methods, frames, settings.seed),
         "notes": [*run.missing, *truth.notes],
     }
     if settings.store:

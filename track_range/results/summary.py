@@ -81,18 +81,24 @@ def matched_truth(rows: Rows, truth: Truth) -> MatchedTruth:
 
 
 def with_truth(rows: Rows, matched: MatchedTruth) -> Rows:
-    """Rows with `truth_m`, the true distance, and `scored_truth_m`, only of objects that count
-    for the errors.
+    """Rows with `truth_m`, the true distance, `scored_truth_m`, only of objects that count for the
+    errors, and `truth_track`, the identity of the label, -1 = none.
     """
     truth_m = matched.distance_m
-    return rows.with_columns({"truth_m": truth_m, "scored_truth_m": matched.of_scored(truth_m)})
+    return rows.with_columns(
+        {
+            "truth_m": truth_m,
+            "scored_truth_m": matched.of_scored(truth_m),
+            "truth_track": matched.of_labels(matched.truth.track_id, -1),
+        }
+    )
 
 
 def range_scores(
-    rows: Rows, matched: MatchedTruth | None, methods: Collection[str]
+    rows: Rows, matched: MatchedTruth | None, methods: Collection[str], seed: int = 0
 ) -> dict[str, Any]:
     """Sections `methods` and `common` for the methods that ran; `closing` if the ground truth
-    contains speeds.
+    contains speeds. Their 95 % intervals resample the true tracks with this seed.
     """
     methods = [name for name in methods if f"{name}_m" in rows]
     known = [name for name in methods_with_sigma() if name in methods]
@@ -102,11 +108,18 @@ def range_scores(
     if matched is None:
         return {"methods": coverage_only(by_name), "common": {}}
     kitti_type = matched.of_labels(matched.truth.kitti_type, "")
+    track_id = matched.of_labels(matched.truth.track_id, -1)
     own, common = score_methods(
-        by_name, matched.distance_m, is_road_class=matched.is_road_class, kitti_type=kitti_type
+        by_name,
+        matched.distance_m,
+        is_road_class=matched.is_road_class,
+        kitti_type=kitti_type,
+        track_id=track_id,
+        seed=seed,
     )
     true_mps = matched.of_scored(matched.of_labels(matched.truth.closing_mps, np.nan))
-    closing = score_closing(rows["closing_mps"], rows["closing_sigma_mps"], true_mps)
+    measured = (rows["closing_mps"], rows["closing_sigma_mps"])
+    closing = score_closing(*measured, true_mps, track_id, seed)
     return {"methods": own, "common": common, **({} if closing is None else {"closing": closing})}
 
 
@@ -173,14 +186,18 @@ def _counted(
 
 
 def truth_figures(
-    rows: Rows, matched: MatchedTruth | None, methods: Collection[str], frames: IntArray
+    rows: Rows,
+    matched: MatchedTruth | None,
+    methods: Collection[str],
+    frames: IntArray,
+    seed: int = 0,
 ) -> dict[str, Any]:
     """Sections that compare the rows of the processed `frames` with ground truth, None = none:
     `methods`, `common`, `closing`, `tracks`, and the description `truth`.
     """
     truth = None if matched is None else matched.truth
     return {
-        **range_scores(rows, matched, methods),
+        **range_scores(rows, matched, methods, seed),
         "tracks": track_scores(rows, truth, frames),
         "truth": None if truth is None else truth.protocol,
     }

@@ -26,7 +26,7 @@ class _Section(BaseModel):
 class _Figures(_Section):
     """Section in which all other keys are figures too."""
 
-    __pydantic_extra__: dict[str, Figure]
+    __pydantic_extra__: dict[str, Figure | list[Figure]]
 
 
 class _Band(_Figures):
@@ -36,7 +36,7 @@ class _Band(_Figures):
 
 class _Method(_Figures):
     bands: list[_Band] | None = None
-    by_class: dict[str, dict[str, Figure]] | None = None
+    by_class: dict[str, dict[str, Figure | list[Figure]]] | None = None
 
 
 class _RigDistance(_Figures):
@@ -109,7 +109,8 @@ _SUMMARY = _section(
         "focal_sigma baseline_m",
     ),
     **_all(Text, "settings_hash truth calibration region"),
-    **_all(dict[str, Figure], "stages_ms latency_ms closing stereo_unmatched stereo_surfaces"),
+    **_all(dict[str, Figure], "stages_ms latency_ms stereo_unmatched stereo_surfaces"),
+    closing=dict[str, Figure | list[Figure]],
     **_all(dict[str, _Method], "methods common"),
     **_all(dict[str, Any], "inputs settings versions"),
     files=dict[str, Text],

@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
+
+from track_range.foundation.bootstrap import CI95
 
 NOTHING = "-"  # text of a value that was not measured
 SIGMA = "\N{GREEK SMALL LETTER SIGMA}"
@@ -56,6 +58,7 @@ class Column:
     scale: float = 1.0  # factor from the stored to the shown value
     # function that is smallest for the best value; None = no value is marked
     cost: Cost | None = None
+    details: Sequence[str] = ()  # text behind each value, such as its interval
 
     def cells(self) -> list[Cell]:
         """One cell per value; all values whose text equals the best value's are marked."""
@@ -63,6 +66,8 @@ class Column:
             NOTHING if value is None else self.pattern.format(self.scale * value)
             for value in self.values
         ]
+        for row, detail in enumerate(self.details):
+            texts[row] += detail
         known = [value for value in self.values if value is not None]
         if self.cost is None or len(known) < 2:
             return [Cell(text) for text in texts]
@@ -70,16 +75,28 @@ class Column:
         return [Cell(text, text == best) for text in texts]
 
 
-# heading, key, then `pattern`, `scale`, `cost` of `Column`, which may be left out
+# heading, key, then `pattern`, `scale`, `cost` of `Column`, which may be left out; a heading that
+# ends with `INTERVAL` shows 95 % intervals, of rows that have them
+INTERVAL = " (95 %)"
 ColumnSpec = tuple[Any, ...]
 
 
 def columns_of(rows: Iterable[Mapping[str, Any]], specs: Iterable[ColumnSpec]) -> list[Column]:
     """Columns of the figures of some rows."""
     rows = list(rows)
-    return [
-        Column(heading, [figure(row, key) for row in rows], *rest) for heading, key, *rest in specs
-    ]
+    columns = []
+    for heading, key, *rest in specs:
+        column = Column(heading.removesuffix(INTERVAL), [figure(row, key) for row in rows], *rest)
+        ends = [row.get(key + CI95) for row in rows]
+        if heading.endswith(INTERVAL) and any(ends):
+            shown = [
+                column.pattern.format(column.scale * end) for pair in ends for end in pair or ()
+            ]
+            pairs = iter(zip(shown[::2], shown[1::2], strict=True))
+            details = [" ({} to {})".format(*next(pairs)) if pair else "" for pair in ends]
+            column = replace(column, heading=heading, details=details)
+        columns.append(column)
+    return columns
 
 
 def grid_of(title: str, corner: str, names: Sequence[str], columns: Sequence[Column]) -> Grid:
@@ -123,9 +140,10 @@ NEAR_NORMAL: tuple[ColumnSpec, ...] = (
 METHOD_COLUMNS: tuple[ColumnSpec, ...] = (
     ("coverage %", "coverage", "{:.0f}", 100.0, largest),
     ("n", "n", "{:.0f}"),
-    ("mean %", "mean_relative_error_pct", "{:.1f}", 1.0, abs),
+    ("tracks", "n_tracks", "{:.0f}"),
+    (f"mean %{INTERVAL}", "mean_relative_error_pct", "{:.1f}", 1.0, abs),
     WITHIN_25,
-    ("median %", "median_relative_error_pct", "{:.1f}", 1.0, abs),
+    (f"median %{INTERVAL}", "median_relative_error_pct", "{:.1f}", 1.0, abs),
     ("bias %", "bias_pct", "{:+.1f}", 1.0, abs),
     *NEAR_NORMAL,
 )
@@ -134,7 +152,7 @@ _CLOSING_COLUMNS: tuple[ColumnSpec, ...] = (
     ("coverage %", "coverage", "{:.0f}", 100.0),
     ("n", "n", "{:.0f}"),
     ("mean m/s", "mean_error_mps", "{:.2f}"),
-    ("median m/s", "median_error_mps", "{:.2f}"),
+    (f"median m/s{INTERVAL}", "median_error_mps", "{:.2f}"),
     ("bias m/s", "bias_mps", "{:+.2f}"),
     *WITHIN_SIGMAS,
     (f"{SIGMA} m/s", "median_sigma_mps", "{:.2f}"),

@@ -11,9 +11,10 @@ import numpy as np
 
 from track_range.evaluation.motion.labelled_motion import LabelledMotion
 from track_range.evaluation.motion.measured_motion import MeasuredMotion
-from track_range.evaluation.motion.scores import answers, between, quantities
+from track_range.evaluation.motion.scores import answers, between, quantities, resampled_drives
 from track_range.foundation.arrays import BoolArray, FloatArray
-from track_range.ranging.truth.errors import fraction
+from track_range.foundation.bootstrap import Resamples, Statistic, figures_of
+from track_range.ranging.truth.errors import within_sigmas
 
 _DISTANCES_M = ((5, 10), (10, 20), (20, 40), (40, 80))
 _OWN_SPEEDS_MPS = {"0-0.5": (0.0, 0.5), "0.5-2": (0.5, 2.0), "2-6": (2.0, 6.0), "6-": (6.0, np.inf)}
@@ -30,17 +31,28 @@ _STANDING_MPS = 0.5  # largest speed of a camera that stands
 _MIN_OF_DRIVE = 50  # smallest number of values of a drive that can be the worst one
 
 
-def cell_figures(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, Any]:
+def cell_figures(
+    truth: LabelledMotion, measured: MeasuredMotion, seed: int | None = None
+) -> dict[str, Any]:
     """Figures of closing speed, speed over ground and time to collision by cell, and by drive with
-    the worst drive of each, as JSON values.
+    the worst drive of each, as JSON values, with a seed also their 95 % intervals.
     """
     names, sequence = truth.boxes.sequence_names, truth.boxes.sequence
     drives = {names[number]: sequence == number for number in np.unique(sequence).tolist()}
     cells = motion_cells(truth, measured)
+    resamples = None if seed is None else resampled_drives(truth, seed)
+    tracks = dict[str, Resamples]()
+    if seed is not None:
+        track_id = truth.boxes.track_id
+        tracks = {key: Resamples.of(track_id, seed=seed, rows=rows) for key, rows in drives.items()}
     by_cell, by_drive = dict[str, Any](), dict[str, Any]()
     for name, values in quantities(truth, measured).items():
-        by_cell[name] = {key: quantity_figures(values, rows) for key, rows in cells.items()}
-        by_drive[name] = {key: quantity_figures(values, rows) for key, rows in drives.items()}
+        by_cell[name] = {
+            key: quantity_figures(values, rows, resamples) for key, rows in cells.items()
+        }
+        by_drive[name] = {
+            key: quantity_figures(values, rows, tracks.get(key)) for key, rows in drives.items()
+        }
     worst = {name: worst_drive(figures) for name, figures in by_drive.items()}
     return {"cells": by_cell, "drives": by_drive, "worst_drives": worst}
 
@@ -72,24 +84,22 @@ def motion_cells(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, B
     }
 
 
-def quantity_figures(values: FloatArray, rows: BoolArray) -> dict[str, float | None]:
+def quantity_figures(
+    values: FloatArray, rows: BoolArray, resamples: Resamples | None = None
+) -> dict[str, Any]:
     """Errors and sigmas of values, sigmas and true values (3, N) in the rows (N,); None without an
     answer.
 
     `rms` and `stated_sigma` are root mean squares, so that they agree if sigma is true.
     """
     counts, error, sigma = answers(values, rows)
-    figures: dict[str, float | None] = dict.fromkeys(("rms", "median_error", "stated_sigma"))
-    if len(error):
-        rms, stated = np.sqrt(np.mean([error**2, sigma**2], axis=1))
-        figures = dict(
-            zip(figures, np.round([rms, np.median(error), stated], 4).tolist(), strict=True)
-        )
-    return {
-        **counts,
-        **figures,
-        **{f"within_{k}_sigma": fraction(error <= k * sigma) for k in (1, 2, 3)},
+    statistics = {
+        "rms": Statistic(error**2, is_root=True),
+        "median_error": Statistic(error, 0.5),
+        "stated_sigma": Statistic(sigma**2, is_root=True),
+        **within_sigmas(error / sigma, (1, 2, 3)),
     }
+    return {**counts, **figures_of(statistics, resamples)}
 
 
 def worst_drive(by_drive: Mapping[str, Mapping[str, float | None]]) -> str | None:

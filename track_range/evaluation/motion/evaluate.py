@@ -47,8 +47,8 @@ def evaluate_motion(settings: MotionEvaluationSettings) -> dict[str, Any]:
         **shown,
         "n_boxes": len(truth.boxes),
         "time_step_s": truth.boxes.time_step_s,
-        **motion_figures(truth, measured),
-        **cell_figures(truth, measured),
+        **motion_figures(truth, measured, settings.seed),
+        **cell_figures(truth, measured, settings.seed),
         **figures,
         "notes": [f"Truth: {truth.protocol}. {note}", *truth.boxes.notes],
     }

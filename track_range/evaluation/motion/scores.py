@@ -19,6 +19,7 @@ from track_range.evaluation.motion.labelled_motion import LabelledMotion
 from track_range.evaluation.motion.measured_motion import MeasuredMotion
 from track_range.evaluation.motion.states import state_figures
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.bootstrap import Resamples, Statistic, figures_of
 from track_range.foundation.poisson import rate_interval
 from track_range.ranging.truth.errors import fraction, within_sigmas
 
@@ -33,15 +34,21 @@ _SCALE_ERROR, _CLOSING_ERROR_MPS, _PATH_HALF_WIDTH_M = 0.1, 1.5, 2.0
 distance, error of the closing speed, and lateral offset at which the object will truly pass."""
 
 
-def motion_figures(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, Any]:
-    """Figures by distance band, class and time to collision, as JSON values."""
+def motion_figures(
+    truth: LabelledMotion, measured: MeasuredMotion, seed: int | None = None
+) -> dict[str, Any]:
+    """Figures by distance band, class and time to collision, as JSON values, with a seed also their
+    95 % intervals.
+    """
+    resamples = None if seed is None else resampled_drives(truth, seed)
     compared = quantities(truth, measured)
     return {
-        **_by_band_and_class(truth, compared["closing"]),
-        "speed": _by_band_and_class(truth, compared["speed"]),
+        **_by_band_and_class(truth, compared["closing"], resamples),
+        "speed": _by_band_and_class(truth, compared["speed"], resamples),
         "states": state_figures(truth, measured),
         "ttc": {
-            f"below_{limit}_s": ttc_figures(measured.ttc_s, truth.ttc_s, limit) for limit in (6, 20)
+            f"below_{limit}_s": ttc_figures(measured.ttc_s, truth.ttc_s, limit, resamples)
+            for limit in (6, 20)
         },
         "warnings": warning_figures(truth, measured),
     }
@@ -65,13 +72,20 @@ def answers(
     values: FloatArray, rows: BoolArray
 ) -> tuple[dict[str, float | None], FloatArray, FloatArray]:
     """Number and coverage of known true values, of values, sigmas and true values (3, N) in the
-    rows (N,); errors and sigmas (K,) of the answers.
+    rows (N,); errors (N,) and sigmas (N,) of the answers, NaN elsewhere.
     """
     known = rows & np.isfinite(values[2])
     is_answered = known & np.isfinite(values).all(axis=0)
-    value, sigma, true = values[:, is_answered]
+    value, sigma, true = np.where(is_answered, values, np.nan)
     counts = {"n": int(known.sum()), "coverage": fraction(is_answered[known])}
     return counts, np.abs(value - true), sigma
+
+
+def resampled_drives(truth: LabelledMotion, seed: int) -> Resamples:
+    """Resamples of the drives and their tracks."""
+    boxes = truth.boxes
+    every = np.ones(len(boxes), np.bool_)
+    return Resamples.of(boxes.track_id, drive=boxes.sequence, seed=seed, rows=every)
 
 
 def between(values: FloatArray, low: float, high: float) -> BoolArray:
@@ -79,7 +93,9 @@ def between(values: FloatArray, low: float, high: float) -> BoolArray:
     return np.asarray((values >= low) & (values < high))
 
 
-def _by_band_and_class(truth: LabelledMotion, values: FloatArray) -> dict[str, Any]:
+def _by_band_and_class(
+    truth: LabelledMotion, values: FloatArray, resamples: Resamples | None
+) -> dict[str, Any]:
     """`speed_figures` of speeds, sigmas and true speeds (3, N) by distance band, and by class and
     band.
     """
@@ -87,10 +103,10 @@ def _by_band_and_class(truth: LabelledMotion, values: FloatArray) -> dict[str, A
     in_bands = {band: between(z, *limits) for band, limits in BANDS.items()}
     classes = np.unique(names[np.isfinite(values[2])]).tolist()
     return {
-        "bands": {band: speed_figures(values, rows) for band, rows in in_bands.items()},
+        "bands": {band: speed_figures(values, rows, resamples) for band, rows in in_bands.items()},
         "by_class": {
             name: {
-                band: speed_figures(values, rows & (names == name))
+                band: speed_figures(values, rows & (names == name), resamples)
                 for band, rows in in_bands.items()
             }
             for name in classes
@@ -98,30 +114,37 @@ def _by_band_and_class(truth: LabelledMotion, values: FloatArray) -> dict[str, A
     }
 
 
-def speed_figures(values: FloatArray, rows: BoolArray) -> dict[str, float | None]:
+def speed_figures(
+    values: FloatArray, rows: BoolArray, resamples: Resamples | None = None
+) -> dict[str, Any]:
     """Coverage and errors of speeds, sigmas and true speeds (3, N) in m/s, in the rows (N,); None
     without values.
     """
     counts, error, sigma_mps = answers(values, rows)
-    median, p95 = np.percentile(error, [50, 95]).round(4).tolist() if len(error) else (None, None)
-    figures = {**counts, "median_mps": median, "p95_mps": p95}
-    return {**figures, **within_sigmas(error / sigma_mps)}
+    statistics = {"median_mps": Statistic(error, 0.5), "p95_mps": Statistic(error, 0.95)}
+    statistics |= within_sigmas(error / sigma_mps)
+    return {**counts, **figures_of(statistics, resamples)}
 
 
-def ttc_figures(ttc_s: FloatArray, true_s: FloatArray, limit_s: float) -> dict[str, float | None]:
+def ttc_figures(
+    ttc_s: FloatArray, true_s: FloatArray, limit_s: float, resamples: Resamples | None = None
+) -> dict[str, Any]:
     """Errors of (N,) times to collision where the true time is at most `limit_s`; None without an
     answer.
     """
     known = (true_s > 0) & (true_s <= limit_s)
     rows = known & np.isfinite(ttc_s)
-    figures: dict[str, float | None] = dict.fromkeys(("median_pct", "rte_pct", "mid"))
-    if rows.any():
-        T, true = np.clip(ttc_s[rows], -_TTC_LIMIT_S, _TTC_LIMIT_S), true_s[rows]
-        relative = np.abs(T - true) / true
-        mid = np.abs(np.log1p(_STEP_S / T) - np.log1p(_STEP_S / true))
-        values = 100 * np.median(relative), 100 * relative.mean(), 1e4 * mid.mean()
-        figures = dict(zip(figures, np.round(values, 4).tolist(), strict=True))
-    return {"n": int(rows.sum()), "coverage": fraction(rows[known]), **figures}
+    T = np.where(rows, np.clip(ttc_s, -_TTC_LIMIT_S, _TTC_LIMIT_S), np.nan)
+    true = np.where(rows, true_s, np.nan)
+    relative = np.abs(T - true) / true
+    mid = np.abs(np.log1p(_STEP_S / T) - np.log1p(_STEP_S / true))
+    statistics = {
+        "median_pct": Statistic(relative, 0.5, 100),
+        "rte_pct": Statistic(relative, scale=100),
+        "mid": Statistic(mid, scale=1e4),
+    }
+    counts = {"n": int(rows.sum()), "coverage": fraction(rows[known])}
+    return {**counts, **figures_of(statistics, resamples)}
 
 
 def warning_figures(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, Any]:

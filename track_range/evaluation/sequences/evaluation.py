@@ -23,6 +23,7 @@ from track_range.detection.formats.video_labels.mot import MOT_CLASSES, read_mot
 from track_range.evaluation.sequences import find
 from track_range.evaluation.sequences.settings import TrackEvaluationSettings, truth_formats
 from track_range.foundation.arrays import IntArray
+from track_range.foundation.bootstrap import CI95, Resamples, interval
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import counted, real_path
 from track_range.tracking.evaluation.benchmark_rules import (
@@ -81,7 +82,10 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
         "format": form,
         "class": name,
         "rule": _RULES[form] if has_rules else _NO_RULE,
-        "combined": _without_nan(asdict(combined.scores())),
+        "combined": {
+            **_without_nan(asdict(combined.scores())),
+            **_intervals(list(counts.values()), settings.seed),
+        },
         "sequences": {key: _without_nan(asdict(value.scores())) for key, value in counts.items()},
         "notes": [
             *find.ignored_files_note(truth, labelled),
@@ -98,6 +102,21 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
             "sequences": {key: _without_nan(row) for key, row in reference.sequences.items()},
         }
     return figures
+
+
+def _intervals(counts: Sequence[TrackingCounts], seed: int) -> dict[str, list[float]]:
+    """95 % intervals of the combined metrics that are no counts, `NAME_ci95`, by resampling the
+    sequences; none of fewer than two.
+    """
+    sequences = np.arange(len(counts))
+    resamples = Resamples.of(sequences, seed=seed, rows=sequences >= 0)
+    scores = []
+    for times in resamples.counts.astype(np.int64):
+        drawn = [counts[number] for number in np.repeat(sequences, times).tolist()]
+        scores.append(asdict(TrackingCounts.sum_of(drawn).scores()))
+    names = [name for name in scores[0] if name not in COUNTS] if scores else []
+    ends = {name + CI95: interval(np.array([row[name] for row in scores])) for name in names}
+    return {name: limits for name, limits in ends.items() if limits is not None}
 
 
 def _folder_of_results(results: Path, form: str) -> Path:

@@ -152,6 +152,9 @@ class TrackEvaluationSettings(Options):
             metavar="NAME",
         ),
     ] = None
+    seed: Annotated[
+        int, option("Random seed of the 95 % intervals of several sequences.", ge=0)
+    ] = 0
     compare: Annotated[
         Literal["motmetrics"] | None,
         option("Package that evaluates the same boxes for comparison; differences are explained."),

@@ -188,6 +188,7 @@ def comparison_page(
         tracks=tracks,
         event_grids=comparison.event_grids(runs),
         event_sentence=comparison.event_sentence(runs),
+        paired=comparison.paired_grids(runs),
         grids=comparison.comparison_grids(runs),
         settings=comparison.settings_grid(runs),
         has_errors=bool(lines),

@@ -21,6 +21,7 @@ from track_range.views.report.comparison import (
     comparison_grids,
     comparison_notes,
     event_grids,
+    paired_grids,
     settings_grid,
 )
 from track_range.views.report.page import write_comparison, write_report
@@ -86,7 +87,12 @@ def _compare(runs: Sequence[RunFolder], page: Path) -> tuple[tuple[Grid, ...], t
     tracks = compared_tracks(compared)
     write_comparison(page, compared, tracks)
     grids = [pair["grid"] for pair in tracks]
-    grids += [*event_grids(compared), *comparison_grids(compared), settings_grid(compared)]
+    grids += [
+        *event_grids(compared),
+        *paired_grids(compared),
+        *comparison_grids(compared),
+        settings_grid(compared),
+    ]
     return tuple(grid for grid in grids if grid.rows), tuple(comparison_notes(compared))
 
 

@@ -31,14 +31,14 @@ def _motion(options: MotionOptions) -> None:
 _SPEED: tuple[tables.ColumnSpec, ...] = (
     ("n", "n", "{:.0f}"),
     ("coverage %", "coverage", "{:.0f}", 100.0),
-    ("median m/s", "median_mps", "{:.2f}"),
+    (f"median m/s{tables.INTERVAL}", "median_mps", "{:.2f}"),
     ("95 % m/s", "p95_mps", "{:.2f}"),
     *tables.WITHIN_SIGMAS,
 )
 _CELL: tuple[tables.ColumnSpec, ...] = (
     ("n", "n", "{:.0f}"),
     ("coverage %", "coverage", "{:.0f}", 100.0),
-    ("rms", "rms", "{:.2f}"),
+    (f"rms{tables.INTERVAL}", "rms", "{:.2f}"),
     ("median", "median_error", "{:.2f}"),
     (f"stated {tables.SIGMA}", "stated_sigma", "{:.2f}"),
     *tables.WITHIN_SIGMAS,
@@ -51,7 +51,7 @@ _QUANTITIES = {
 _TTC: tuple[tables.ColumnSpec, ...] = (
     ("n", "n", "{:.0f}"),
     ("coverage %", "coverage", "{:.0f}", 100.0),
-    ("median %", "median_pct", "{:.1f}"),
+    (f"median %{tables.INTERVAL}", "median_pct", "{:.1f}"),
     ("RTE %", "rte_pct", "{:.1f}"),
     ("MiD", "mid", "{:.1f}"),
 )

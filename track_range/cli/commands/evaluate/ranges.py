@@ -44,9 +44,9 @@ def _ranges(options: RangesOptions) -> None:
 _COLUMNS: tuple[tables.ColumnSpec, ...] = (
     ("coverage %", "coverage", "{:.0f}", 100.0),
     ("n", "n", "{:.0f}"),
-    ("mean %", "mean_relative_error_pct", "{:.2f}", 1.0, abs),
+    (f"mean %{tables.INTERVAL}", "mean_relative_error_pct", "{:.2f}", 1.0, abs),
     tables.WITHIN_25,
-    ("median %", "median_relative_error_pct", "{:.2f}", 1.0, abs),
+    (f"median %{tables.INTERVAL}", "median_relative_error_pct", "{:.2f}", 1.0, abs),
     ("bias %", "bias_pct", "{:+.2f}", 1.0, abs),
     *tables.NEAR_NORMAL,
     ("rear %", "rear_view_pct", "{:.2f}", 1.0, abs),

@@ -13,9 +13,10 @@ from track_range.evaluation.sequences.evaluation import COUNTS, evaluate_tracks
 from track_range.evaluation.sequences.settings import TrackEvaluationSettings
 from track_range.foundation.files.output_files import write_json
 from track_range.tracking.evaluation.motmetrics_comparison import REASONS
-from track_range.views.tables import Column, Grid, columns_of, figure, grid_of
+from track_range.views.tables import INTERVAL, Column, Grid, columns_of, figure, grid_of
 
 # in lower case the keys of results
+_SHOWN = ("HOTA", "MOTA", "IDF1")  # with their intervals
 _HEADS = "HOTA DetA AssA LocA MOTA MOTP IDF1 IDsw FP FN Frag MT ML".split()
 
 
@@ -74,7 +75,11 @@ def _grid(figures: Mapping[str, Any]) -> Grid:
     if len(rows) > 1:
         rows["combined"] = figures["combined"]
     columns = columns_of(
-        rows.values(), ((head, head.lower(), _pattern(head.lower())) for head in _HEADS)
+        rows.values(),
+        (
+            (head + INTERVAL * (head in _SHOWN), head.lower(), _pattern(head.lower()))
+            for head in _HEADS
+        ),
     )
     return grid_of(f"Tracks of class {figures['class']}", "sequence", list(rows), columns)
 
