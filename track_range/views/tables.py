@@ -60,6 +60,14 @@ class Column:
     cost: Cost | None = None
     details: Sequence[str] = ()  # text behind each value, such as its interval
 
+    def intervals(self, ends: Iterable[Sequence[float] | None]) -> list[str]:
+        """The details of 95 % intervals, None = none, in the format of the values."""
+        texts = []
+        for pair in ends:
+            limits = [self.pattern.format(self.scale * end) for end in pair or ()]
+            texts.append(f" ({' to '.join(limits)})" if limits else "")
+        return texts
+
     def cells(self) -> list[Cell]:
         """One cell per value; all values whose text equals the best value's are marked."""
         texts = [
@@ -89,12 +97,7 @@ def columns_of(rows: Iterable[Mapping[str, Any]], specs: Iterable[ColumnSpec]) -
         column = Column(heading.removesuffix(INTERVAL), [figure(row, key) for row in rows], *rest)
         ends = [row.get(key + CI95) for row in rows]
         if heading.endswith(INTERVAL) and any(ends):
-            shown = [
-                column.pattern.format(column.scale * end) for pair in ends for end in pair or ()
-            ]
-            pairs = iter(zip(shown[::2], shown[1::2], strict=True))
-            details = [" ({} to {})".format(*next(pairs)) if pair else "" for pair in ends]
-            column = replace(column, heading=heading, details=details)
+            column = replace(column, heading=heading, details=column.intervals(ends))
         columns.append(column)
     return columns
 

@@ -117,25 +117,25 @@ def comparison_grids(runs: Sequence[ComparedRun]) -> list[Grid]:
     columns += columns_of((run.section("tracks") for run in runs), _TRACK_COLUMNS)
     grids = [grid_of("Runs", "run", names, columns)]
     methods = [run.section("methods") for run in runs]
-    for title, key, pattern, scale in _METHOD_GRIDS:
-        columns = []
-        for name in _keys(methods):
-            of_runs = [rows.get(name) or {} for rows in methods]
-            values = [figure(row, key) for row in of_runs]
-            details = [
-                "" if value is None else _n_words(row)
-                for value, row in zip(values, of_runs, strict=True)
-            ]
-            columns.append(Column(name, values, pattern, scale, details=details))
+    for title, *spec in _METHOD_GRIDS:
+        columns = [
+            _method_column(name, [rows.get(name) or {} for rows in methods], spec)
+            for name in _keys(methods)
+        ]
         grids.append(grid_of(f"{title} (n)", "run", names, columns))
     grids.append(_stage_grid(runs, names))
     return [grid for grid in grids if grid.rows and len(grid.columns) > 1]
 
 
-def _n_words(row: Mapping[str, Any]) -> str:
-    """The number of boxes behind a figure of a method."""
-    n = figure(row, "n")
-    return "" if n is None else f" ({n:.0f})"
+def _method_column(name: str, rows: Sequence[Mapping[str, Any]], spec: Sequence[Any]) -> Column:
+    """A figure of a method in each run, with the number of boxes behind it."""
+    key, pattern, scale = spec
+    values, counts = [figure(row, key) for row in rows], [figure(row, "n") for row in rows]
+    details = [
+        "" if value is None or n is None else f" ({n:.0f})"
+        for value, n in zip(values, counts, strict=True)
+    ]
+    return Column(name, values, pattern, scale, details=details)
 
 
 def paired_grids(runs: Sequence[ComparedRun]) -> list[Grid]:

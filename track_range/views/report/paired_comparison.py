@@ -64,7 +64,16 @@ def paired_grid(names: tuple[str, str], runs: tuple[Rows, Rows], seed: int = 0) 
         methods = [name for name in sides[0].methods_measured if name in sides[1].methods_measured]
         for method in methods:
             rows += _method_rows(method, names, (sides[0], sides[1]), seed)
-    columns = ("method", "figure", "boxes", "tracks", *names, "difference", "95 %", "result")
+    columns = (
+        "method",
+        "figure",
+        "boxes",
+        "tracks",
+        *names,
+        "difference",
+        "95 % interval",
+        "result",
+    )
     title = f"Errors on the boxes that both runs measured: {names[0]} and {names[1]}"
     return Grid(title, columns, tuple(rows))
 
