@@ -75,7 +75,7 @@ MOST_STATEMENTS = {
     # cameras in lists, stretched images and regions named, and the pair of a rectifier (25)
     # the usual focal length by the diagonal, and calibrations named after a video (5)
     # without a bootstrap of its own (-8)
-    "stereo": 10_413,
+    "stereo": 10_404,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
     # disparities of pairs whose rig or alignment is not known, also of single ones (140)
@@ -113,7 +113,7 @@ MOST_STATEMENTS = {
     # (31), and fusion, warnings and the world by columns (70)
     # the camera that labels determine (50)
     # intervals of distances and closing speeds (10)
-    "ranging": 7_631,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 7_642,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
     "api": 111,  # names that are imported when they are used, and their former names (22)
@@ -136,7 +136,7 @@ MOST_STATEMENTS = {
     # tables by cell, and by drive where there are several (12)
     # names of cameras of a fleet's check (1)
     # `evaluate run` (15)
-    "cli": 2_506,
+    "cli": 2_507,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (143), several drives together, and intervals of rates (49)
@@ -146,7 +146,7 @@ MOST_STATEMENTS = {
     # names of class numbers of `track` (2)
     # a finished run against ground truth (25)
     # intervals of tracks and motion (25)
-    "evaluation": 1_885,  # times and region of labelled motion, and every class of nuScenes (10)
+    "evaluation": 1_906,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     # earlier names of columns (4)
     "fleet": 3_245,  # what a lost worker counts as is a function that tests call (5)
@@ -160,7 +160,7 @@ MOST_STATEMENTS = {
     # lines before the header of a table (10)
     # hashes of the content of inputs (34), and the commit of a package (14)
     # the block bootstrap of all figures (65)
-    "foundation": 1_947,
+    "foundation": 2_036,
     # each stage has a frozen output, and `FrameResult` consists of them (165); the detection and the
     # scale report (9)
     # the way of a repeated image (45); the scale of a pair, corrected in one place (7); the
@@ -207,7 +207,7 @@ MOST_STATEMENTS = {
     # settings of events check themselves (3)
     # columns read at once by kind, and lines formatted at once (48)
     # a finished run is evaluated again (20)
-    "results": 2_756,
+    "results": 2_758,
     # imports of one file for each idea of the settings (45); the parts of a run report, each in a class
     # of its own with what it imports (205); the options of its recording (15); notes on packages
     # at the end (5)
@@ -236,7 +236,7 @@ MOST_STATEMENTS = {
     # thresholds of the alarm beside the probability of contact, and sigmas of events (21)
     # what a run without road users says (2)
     # paired errors of two runs, and intervals in tables (55)
-    "views": 2_653,
+    "views": 2_739,
     "track_range": 101,  # a module of errors and one of evaluations, each with its names for type checkers (18)
 }
 
