@@ -18,6 +18,7 @@ from track_range.api.lazy_names import LazyNames
 
 if TYPE_CHECKING:
     from track_range import errors as errors, evaluate as evaluate
+    from track_range.api.evaluation import check as check
     from track_range.api.parts import (
         Detector as Detector,
         Tracker as Tracker,
@@ -81,6 +82,7 @@ _NAMES = LazyNames(
         "track_range.run.options.settings": "RunSettings",
         "track_range.pipeline.frame_result": "FrameResult TrackedObject",
         "track_range.api.parts": "open_recording Detector Tracker load_rig",
+        "track_range.api.evaluation": "check",
         "track_range.results.events.files": "read_events",
         "track_range.foundation.processes": "tuned_process",
         "track_range.results.events.event": "Event",

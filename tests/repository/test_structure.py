@@ -116,6 +116,7 @@ MOST_STATEMENTS = {
     "ranging": 7_642,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
+    # `check` (4)
     "api": 111,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)
@@ -136,6 +137,7 @@ MOST_STATEMENTS = {
     # tables by cell, and by drive where there are several (12)
     # names of cameras of a fleet's check (1)
     # `evaluate run` (15)
+    # `check` (15)
     "cli": 2_507,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
@@ -146,6 +148,7 @@ MOST_STATEMENTS = {
     # names of class numbers of `track` (2)
     # a finished run against ground truth (25)
     # intervals of tracks and motion (25)
+    # limits of figures (80)
     "evaluation": 1_906,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     # earlier names of columns (4)

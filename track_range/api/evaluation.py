@@ -9,6 +9,7 @@ from typing import Any
 from track_range.calibration.settings import StereoEvaluationSettings
 from track_range.evaluation.events.evaluate import evaluate_events as _evaluate_events
 from track_range.evaluation.events.settings import EventEvaluationSettings
+from track_range.evaluation.limits import CheckSettings, check as _check
 from track_range.evaluation.motion.evaluate import evaluate_motion as _evaluate_motion
 from track_range.evaluation.motion.settings import MotionEvaluationSettings
 from track_range.evaluation.run_evaluation import (
@@ -61,6 +62,22 @@ def evaluate_run(
     """
     given = {"folder": folder, "truth": truth, **options}
     return _evaluate_run(RunEvaluationSettings.of(given))
+
+
+@KeywordsInErrors(CheckSettings)
+def check(folder: str | Path | Sequence[str | Path], **options: Any) -> dict[str, Any]:
+    """Whether figures of runs are within limits; like `track-range check --json`.
+
+    Args:
+        folder: result folder of a run, or local folder of a fleet; a sequence of several.
+        options: options of the command: `require=["fused.median_relative_error_pct < 5"]`,
+            `limits="limits.yaml"`, `min_coverage=0.5`, `junit="check.xml"`.
+
+    Raises:
+        UsageError: an option is unknown or invalid, or a limit names an unknown figure.
+        ConfigError, OutputError: a file cannot be used.
+    """
+    return _check(CheckSettings.of({"folders": _several(folder), **options}))
 
 
 @KeywordsInErrors(MotionEvaluationSettings)

@@ -117,6 +117,18 @@ COMMANDS = {
         "track_range.cli.commands.evaluate",
         "Evaluate tracks, distances, events, detectors or stereo matchers.",
     ),
+    "check": Lazy(
+        "track_range.cli.commands.evaluate.check",
+        "Check limits of the figures of runs, such as accuracy, for continuous integration.",
+        "Exit status: 0 = all limits hold, 1 = a limit is broken or a folder cannot be read, 2 = a "
+        "limit that cannot be understood, or of an unknown figure. A figure that was not measured "
+        "breaks its limit.",
+        (
+            "track-range check drive-track-range \\\n"
+            "      --require 'fused.median_relative_error_pct < 5' --require 'tracks.mota >= 80'",
+            "track-range check drive-track-range --limits limits.yaml --junit check.xml",
+        ),
+    ),
     "fit": Lazy(
         "track_range.cli.commands.fit",
         "Fit the size curves of the mono method to labels from your camera, or the errors of a "
