@@ -117,7 +117,7 @@ MOST_STATEMENTS = {
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
     # `check` (4)
-    "api": 111,  # names that are imported when they are used, and their former names (22)
+    "api": 114,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)
     # a recording counts once, and a measured height is kept (12)
@@ -138,7 +138,7 @@ MOST_STATEMENTS = {
     # names of cameras of a fleet's check (1)
     # `evaluate run` (15)
     # `check` (15)
-    "cli": 2_507,
+    "cli": 2_526,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (143), several drives together, and intervals of rates (49)
@@ -149,7 +149,7 @@ MOST_STATEMENTS = {
     # a finished run against ground truth (25)
     # intervals of tracks and motion (25)
     # limits of figures (80)
-    "evaluation": 1_906,  # times and region of labelled motion, and every class of nuScenes (10)
+    "evaluation": 2_005,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     # earlier names of columns (4)
     "fleet": 3_245,  # what a lost worker counts as is a function that tests call (5)
@@ -240,7 +240,7 @@ MOST_STATEMENTS = {
     # what a run without road users says (2)
     # paired errors of two runs, and intervals in tables (55)
     "views": 2_739,
-    "track_range": 101,  # a module of errors and one of evaluations, each with its names for type checkers (18)
+    "track_range": 102,  # a module of errors and one of evaluations, each with its names for type checkers (18)
 }
 
 
