@@ -11,6 +11,7 @@ import json
 import os
 import sys
 import time
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -20,7 +21,6 @@ from track_range.fleet.engine.plan import ClipOutcome, ClipProgress, ClipTask, F
 from track_range.fleet.engine.remaining import content_hash, present_fingerprint
 from track_range.fleet.inputs.listing import clips_of
 from track_range.fleet.output.data_set import publish_record, read_clips
-from track_range.fleet.output.record import ClipRecord
 from track_range.fleet.settings import FleetSettings
 from track_range.fleet.storage.location import Location
 
@@ -30,14 +30,11 @@ _STAGES = ("read", "detect", "track", "mono", "stereo", "fuse", "write")
 
 def publish_stub(task: ClipTask, plan: FleetPlan, _progress: ClipProgress) -> ClipOutcome:
     """Publish a record of the usual size, without tracks."""
-    record = ClipRecord(
-        clip=task.clip.name,
+    record = replace(
+        plan.record(task.clip, task.attempt),
         status="done",
-        left=task.clip.left,
         inputs=present_fingerprint(task.clip),
         content_hash=content_hash(task.clip, {"left": task.clip.name}),
-        settings_hash=plan.settings_hash,
-        version=plan.version,
         frames=600,
         rows=3000,
         tracks=40,
@@ -50,7 +47,6 @@ def publish_stub(task: ClipTask, plan: FleetPlan, _progress: ClipProgress) -> Cl
         finished_utc=datetime.now(UTC).isoformat(),
         stages_ms=dict.fromkeys(_STAGES, 1.5),
         coverage=dict.fromkeys(_METHODS, 0.9),
-        labels=dict(task.clip.labels),
     )
     publish_record(plan.out, record.row())
     return ClipOutcome(record.row())

@@ -138,6 +138,7 @@ MOST_STATEMENTS = {
     # names of cameras of a fleet's check (1)
     # `evaluate run` (15)
     # `check` (15)
+    # events of a fleet that meet a condition (41), scenarios of events, and notes of a dry run (10)
     "cli": 2_526,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
@@ -152,6 +153,8 @@ MOST_STATEMENTS = {
     "evaluation": 2_005,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     # earlier names of columns (4)
+    # clips from the first stage that changed: keys, boxes, rows and poses that are kept (345), and a
+    # condition on the events of all clips with copies of their videos (165)
     "fleet": 3_245,  # what a lost worker counts as is a function that tests call (5)
     # contradictions name their options (9); one registry with priorities and notes (65)
     # one registry with priorities and notes (5); functions of packages guarded in one place (50);
@@ -163,6 +166,7 @@ MOST_STATEMENTS = {
     # lines before the header of a table (10)
     # hashes of the content of inputs (34), and the commit of a package (14)
     # the block bootstrap of all figures (65)
+    # the stage of an option (6)
     "foundation": 2_036,
     # each stage has a frozen output, and `FrameResult` consists of them (165); the detection and the
     # scale report (9)
@@ -210,6 +214,7 @@ MOST_STATEMENTS = {
     # settings of events check themselves (3)
     # columns read at once by kind, and lines formatted at once (48)
     # a finished run is evaluated again (20)
+    # scenarios of events, whose parameters vary them (76), and clips that events know (20)
     "results": 2_758,
     # imports of one file for each idea of the settings (45); the parts of a run report, each in a class
     # of its own with what it imports (205); the options of its recording (15); notes on packages
@@ -229,6 +234,7 @@ MOST_STATEMENTS = {
     # names of class numbers as an option (7)
     # hashes of all inputs of a run (47)
     # options of the lens and of the tracker's threshold, and results of other recordings (35)
+    # a scenario of each event (27), stages of options, and sources of boxes from elsewhere (9)
     "run": 2_587,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that
     # look to any side from any place of the vehicle (24)

@@ -65,10 +65,10 @@ class FleetSettings(Options):
     camera: Annotated[
         str | None,
         _input(
-            "Name of the camera of all clips without a calibration, or a pattern with placeholders "
-            "of --pattern or columns of the manifest, such as '{vehicle}': before the run, the "
-            "focal length of each camera is estimated once, from up to 12 of its clips (default: "
-            "of each clip by itself).",
+            "Name of the camera of all clips without a calibration, or a pattern with {folder} (the "
+            "name of the folder of a clip), placeholders of --pattern or columns of the manifest, "
+            "such as '{vehicle}': before the run, the focal length of each camera is estimated "
+            "once, from up to 12 of its clips (default: of each clip by itself).",
             metavar="NAME|PATTERN",
         ),
     ] = None
@@ -91,6 +91,14 @@ class FleetSettings(Options):
     ] = None
     dry_run: Annotated[
         bool, _input("List of the clips with problems in their headers, without processing them.")
+    ] = False
+    overwrite: Annotated[
+        bool,
+        _output(
+            "Replacement of finished results of other options or files (default: a fleet with other "
+            "options stops, and says what it would replace; clips with other files keep their "
+            "results)."
+        ),
     ] = False
     retry_failed: Annotated[
         bool, _output("Clips that failed in an earlier run are processed again.")

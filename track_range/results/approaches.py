@@ -20,7 +20,7 @@ def closest_approaches(rows: Rows) -> list[dict[str, Any]]:
     """One row for each road user (a track, without traffic lights and signs), nearest first.
 
     Keys: `track_id`, `class` (the most frequent class); `min_distance_m` (filtered, else fused),
-    `max_closing_mps` and `min_ttc_front_s`, each with `_at_s`, its time; `min_distance_sigma_m`,
+    `max_closing_mps` and `min_ttc_s` (also as `min_ttc_front_s`), each with `_at_s`, its time; `min_distance_sigma_m`,
     `max_closing_sigma_mps`. None = unknown. Distances and closing speeds are from detected boxes,
     if their sigma is unknown or at most half of the value.
     """
@@ -55,6 +55,8 @@ def track_extremes(rows: Rows) -> Iterator[dict[str, Any]]:
             if sigma_key:
                 row[sigma_key] = _finite(sigma)
             row[f"{key}_at_s"] = _finite(time_s)
+        # the name of this figure everywhere; the other one is that of earlier versions
+        row |= {f"min_ttc_s{end}": row[f"min_ttc_front_s{end}"] for end in ("", "_at_s")}
         yield row
 
 

@@ -30,6 +30,7 @@ COLUMNS = (  # keys of a row, in order
     *("clip", "track_id", "class", "state", "from_s", "to_s", "lead_s"),
     *(f"{kind}_{key}{end}" for key, kind in EXTREMES.items() for end in ("", "_at_s")),
     *("tet_s", "tit_s2", "pet_s"),
+    "min_ttc_s",  # the name of this figure everywhere; `min_ttc_front_s` is that of earlier versions
 )
 
 
@@ -87,7 +88,8 @@ def _measures(name: str, track: Rows, ego: Any) -> dict[str, Any]:
     path = path[np.isfinite(path).all(axis=1)]
     half_width_m = float(HALF_WIDTH_M[ROAD_CLASSES.index(name)])
     pet_s = np.nan if ego is None else post_encroachment_s(ego, path, half_width_m=half_width_m)
-    return {**row, "pet_s": None if np.isnan(pet_s) else float(pet_s)}
+    pet = None if np.isnan(pet_s) else float(pet_s)
+    return {**row, "pet_s": pet, "min_ttc_s": row["min_ttc_front_s"]}
 
 
 def by_class(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -71,11 +71,12 @@ def open_run(
     open_detector: Callable[[Path, DetectorOptions], YoloDetector],
     console: Console,
     report: Callable[[str], None],
+    boxes: Callable[[BoxSource], BoxSource],
 ) -> OpenedRun:
     """The opened inputs of a run; an unusable input raises its error.
 
     `detector`, `tracker` and `rig` replace the settings' choices; `report` is called with the name
-    of each task of the opening.
+    of each task of the opening; `boxes` returns the source that is used in place of the detector.
     """
 
     def progress(task: str) -> AbstractContextManager[Callable[[int, int | None], None]]:
@@ -91,7 +92,7 @@ def open_run(
     with ExitStack() as on_error:
         on_error.callback(recording.close)
         report(LOADING)
-        box_source = _box_source(settings, recording, detector, open_detector, console)
+        box_source = _box_source(settings, recording, detector, open_detector, console, boxes)
         again = partial(open_input, settings, rig=rig)
         recording = with_mounting(recording, settings.mounting, again)
         mounting = recording.opened.view_mounting(settings.mounting)
@@ -144,14 +145,15 @@ def _box_source(
     detector: ObjectDetector | None,
     open_detector: Callable[[Path, DetectorOptions], YoloDetector],
     console: Console,
+    boxes: Callable[[BoxSource], BoxSource],
 ) -> BoxSource:
     """The boxes of a detector, None = as the settings choose, outside of ignored regions."""
     if detector is None:
         models = partial(ready_model, console=console)
-        boxes = open_box_source(settings, recording, models, open_detector)
+        source = open_box_source(settings, recording, models, open_detector)
     else:
-        boxes = boxes_of(detector)
-    return outside_regions(boxes, settings.ignore, recording.calibration)
+        source = boxes_of(detector)
+    return outside_regions(boxes(source), settings.ignore, recording.calibration)
 
 
 def _with_estimate(

@@ -21,7 +21,7 @@ from track_range.foundation.files import output_files
 from track_range.foundation.files.folder_lock import FolderLock
 from track_range.pipeline.frame_result import FrameResult
 from track_range.recording.telemetry.tracks.track import TELEMETRY_FILE, write_positions
-from track_range.results.events.event import CLIPS_FOLDER, Event
+from track_range.results.events.event import CLIPS_FOLDER, Event, with_clip_files
 from track_range.results.events.files import EventFiles
 from track_range.results.formats.poses_file import read_poses
 from track_range.results.progress_note import OPENING, PROCESSING, PROGRESS_FILE, ProgressNote
@@ -257,12 +257,12 @@ class RunOutput:
             if value not in ([], {})
         }
         report, poses = {**summary, "settings": shown}, read_poses(folder)
-        steps: list[Callable[[], object]] = [partial(self._events.finish, rows.events)]
+        steps: list[Callable[[], object]] = []
         if clips is not None and "overlay" in self.videos:
-            overlay = folder / self.videos["overlay"]
-            steps.append(partial(write_clips, overlay, rows.events, clips, starts_s=rows.starts_s))
+            steps.append(partial(self._cut_clips, folder / self.videos["overlay"], clips))
             self.files += (clips,) if rows.events else ()
         steps += [
+            lambda: self._events.finish(rows.events),  # with the names of their clips
             partial(output_files.write_json, folder / "summary.json", summary),
             partial(
                 write_report,
@@ -281,6 +281,12 @@ class RunOutput:
         if settings.table is not None:
             steps.append(partial(output_files.write_text, settings.table, markdown(summary)))
         call_all(steps)
+
+    def _cut_clips(self, overlay: Path, clips: Path) -> None:
+        """Write the clips of the events, which know them afterwards."""
+        rows = self._session.rows
+        written = write_clips(overlay, rows.events, clips, starts_s=rows.starts_s)
+        rows.events = with_clip_files(rows.events, {path.name for path in written})
 
     def close(self) -> None:
         """Remove the note and the lock and, without `start`, all created files; a second call does

@@ -14,7 +14,7 @@ import html
 import inspect
 import time
 import weakref
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 from types import TracebackType
@@ -28,7 +28,7 @@ from track_range.foundation.files.input_files import counted, real_path
 from track_range.foundation.schemas.keywords import KeywordsInErrors
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.replay import frames_of_rows
-from track_range.run.box_source import class_name
+from track_range.run.box_source import BoxSource, class_name
 from track_range.run.interrupts import defer_interrupts, ignore_interrupts
 from track_range.run.opening import open_run
 from track_range.run.options.opened import open_detector
@@ -91,6 +91,7 @@ class Run:
         rig: StereoRig | None = None,
         progress: bool | Console = False,
         opened_detectors: OpenedDetectors | None = None,
+        boxes: Callable[[BoxSource], BoxSource] = lambda boxes: boxes,
     ) -> None:
         """Prepare a run; nothing is opened yet.
 
@@ -104,6 +105,7 @@ class Run:
             progress: whether to show progress bars (also in a notebook), or the Rich console to
                 show them on.
             opened_detectors: detectors that are used again instead of being opened for this run.
+            boxes: returns the source of boxes that is used in place of the settings' one.
 
         Raises:
             ConfigError: both a detector and recorded detections are given, or a rig and a focal
@@ -119,6 +121,7 @@ class Run:
         self.settings = settings.model_copy(update=named)
         self._detector, self._tracker, self._rig = detector, tracker, rig
         self._open_detector = opened_detectors or open_detector
+        self._boxes = boxes
         self._console = progress if isinstance(progress, Console) else Console(quiet=not progress)
         self._folder: Path | None = settings.out
         self._output = RunOutput(self.settings, None)  # until the inputs are opened
@@ -192,6 +195,7 @@ class Run:
                     tracker=self._tracker,
                     rig=self._rig,
                     open_detector=self._open_detector,
+                    boxes=self._boxes,
                     console=self._console,
                     report=output.report,
                 )

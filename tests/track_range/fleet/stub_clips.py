@@ -9,6 +9,7 @@ import signal
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pyarrow as pa
@@ -17,7 +18,6 @@ from track_range.fleet.engine.plan import ClipOutcome, ClipProgress, ClipTask, F
 from track_range.fleet.engine.remaining import content_hash, fingerprint
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.output.data_set import publish, publish_record, tracks_location
-from track_range.fleet.output.record import ClipRecord
 from track_range.fleet.storage.errors import StorageError
 
 
@@ -56,21 +56,19 @@ def published(task: ClipTask, plan: FleetPlan) -> ClipOutcome:
     clip, out = task.clip, plan.out
     stat = os.stat(clip.left)
     digest = Path(clip.left).read_text()
-    record = ClipRecord(
-        clip=clip.name,
+    record = replace(
+        plan.record(clip, task.attempt),
         status="done",
-        attempts=task.attempt,
-        left=clip.left,
         inputs=fingerprint(clip, {"left": (stat.st_size, stat.st_mtime_ns)}),
         content_hash=content_hash(clip, {"left": digest}),
-        settings_hash=plan.settings_hash,
-        version=plan.version,
         seconds=1.0,
         finished_utc=f"{time.time()}",
         stages_ms={"read": 1.5},
     )
     if task.known_hash == record.content_hash:
-        return ClipOutcome(record.row(), is_unchanged=True)
+        return ClipOutcome({}, {"inputs": record.inputs})
+    if task.known_hash and not plan.settings.overwrite:
+        return ClipOutcome({}, is_kept=True)
     table = pa.table({"frame": [0], "text": [digest]})
     from pyarrow import parquet
 

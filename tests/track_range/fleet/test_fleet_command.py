@@ -156,7 +156,11 @@ def test_other_settings_repeat_the_clips(finished, cli):
     status, stdout, _ = cli(*options)
     assert (status, "2 in earlier runs" in stdout) == (3, True)
     assert read_clips(Location.of(out)).equals(before)
-    status, stdout, _ = cli(*options, "--reports", "--classes", "car", "--write", "csv")
+    others = ("--reports", "--classes", "car", "--write", "csv")
+    status, _, stderr = cli(*options, *others)
+    assert (status, "of 2 clips" in stderr, "--overwrite" in stderr) == (1, True, True)
+    assert read_clips(Location.of(out)).equals(before)
+    status, stdout, _ = cli(*options, *others, "--overwrite")
     assert "earlier runs" not in stdout
     assert {file.name for file in (out / "runs" / "clip=one").iterdir()} == {
         *("tracks.csv", "events.csv", "report.html", "summary.json"),
@@ -247,6 +251,19 @@ def test_address_of_another_server(tmp_path, small_drive, web):
     )
     assert (ended.returncode, len(ended.stderr.splitlines())) == (1, 1)
     assert address in ended.stderr
+
+
+def test_dry_run_prints_each_note_once(cli, film, tmp_path):
+    (tmp_path / "clips").mkdir()
+    for name in "abc":
+        film(tmp_path / "clips" / f"{name}.mp4", [0, 0.1, 0.2])
+    status, stdout, _ = cli(
+        "fleet", "run", tmp_path / "clips", "--out", tmp_path / "out", "--dry-run"
+    )
+    text = " ".join(stdout.split())
+    assert (status, text.count("focal length is estimated")) == (0, 1)
+    assert "estimates it once. (3 clips)" in text
+    assert "0.3 s, calibration: none" in text
 
 
 def test_dry_run_with_options_of_the_runs(cli, film, tmp_path):

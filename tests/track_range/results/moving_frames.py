@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from tests.support.results.frame_results import changed, result
+from track_range.pipeline.alarming import Alarms
+from track_range.ranging.warning.safety import SafetyMeasures
 from track_range.ranging.world.object_motion import ObjectMotion
 from track_range.results.formats.run_info import RunInfo
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -36,5 +38,8 @@ def frame(index: int) -> Any:
     }
     ranges = {name: replace(r, track_id=r.track_id[1:], distance_m=r.distance_m[1:], sigma_m=r.sigma_m[1:])
               for name, r in given.ranges.items()}  # fmt: skip
+    warnings = given.warnings.select(slice(1, None))
+    safety = SafetyMeasures.unknown(1)
     motion = ObjectMotion(*(getattr(given.motion, name)[1:] for name in ObjectMotion.__slots__))
-    return changed(given, tracks=tracks, ranges=ranges, motion=motion, **rows)
+    alarms = Alarms(warnings, safety, given.alarms.has_warnings, given.alarms.has_safety)
+    return changed(given, tracks=tracks, ranges=ranges, motion=motion, alarms=alarms, **rows)

@@ -25,6 +25,8 @@ def test_detected_and_certain_rows_count():
         "max_closing_sigma_mps": 1.0,
         "max_closing_mps_at_s": 0.5,
         "min_ttc_front_s": 0.4,
+        "min_ttc_s": 0.4,
+        "min_ttc_s_at_s": 1.0,
         "min_ttc_front_s_at_s": 1.0,  # of all approach_rows, as in events.csv and `surrogate`
     }
     assert {value for key, value in bus.items() if key not in ("track_id", "class")} == {None}

@@ -11,6 +11,9 @@ from track_range.run.export.export import ExportSettings, export
 def _export(settings: ExportSettings) -> None:
     exported = export(settings)
     print_notes(console, exported.notes)
+    if exported.n_scenarios is not None:
+        print_line(console, f"Written: {settings.out}, {counted(exported.n_scenarios, 'scenario')}")
+        return
     images = f" and {counted(exported.n_images, 'image')}" if settings.images else ""
     print_line(
         console, f"Written: {settings.out}, {counted(exported.n_boxes, 'box', 'boxes')}{images}"

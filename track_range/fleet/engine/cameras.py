@@ -53,7 +53,8 @@ def clips_by_camera(clips: Sequence[Clip], plan: FleetPlan) -> dict[str, list[Cl
             or {**plan.options, **clip.settings}.keys() & {"rig", "focal_px", "stereo_layout"}
         ):
             continue
-        values = {CLIP: clip.name, **clip.labels}
+        folder = Location.of(clip.left).parent
+        values = {CLIP: clip.name, "folder": folder.name if folder else "", **clip.labels}
         try:
             name = template.filled(values)
         except KeyError as error:
@@ -100,8 +101,9 @@ def with_cameras(clips: Sequence[Clip], plan: FleetPlan, console: Console) -> li
         used = readable(of_camera)
         rig = plan.out.path / "cameras" / f"{quote(name, safe='')}.yaml"
         # as of the results of clips: without folders, which an anonymized fleet does not name
-        inputs = [plan.settings_hash, *([clip.name, present_fingerprint(clip)] for clip in used)]
-        sentence = _known_sentence(rig, inputs)
+        of_clips = [[clip.name, present_fingerprint(clip)] for clip in used]
+        inputs = [plan.keys.tracks, *of_clips]
+        sentence = _known_sentence(rig, inputs, [plan.keys.former, *of_clips])
         if used and not sentence and not plan.settings.dry_run:
             sentence = _estimated(used, rig, inputs, plan, console)
         if sentence:
@@ -121,13 +123,15 @@ def with_cameras(clips: Sequence[Clip], plan: FleetPlan, console: Console) -> li
     ]
 
 
-def _known_sentence(rig: Path, inputs: Sequence[object]) -> str:
-    """What an earlier calibration of a camera is from, in words; "" = none is of these inputs."""
+def _known_sentence(rig: Path, *inputs: Sequence[object]) -> str:
+    """What an earlier calibration of a camera is from, in words; "" = none is of any of the
+    inputs.
+    """
     evidence = rig.with_suffix(".json")
     if not (rig.is_file() and evidence.is_file()):
         return ""
     known = read_json(evidence, FleetInputError, "the evidence of a camera")
-    return str(known["sentence"]) if known.get("inputs") == inputs else ""
+    return str(known["sentence"]) if known.get("inputs") in inputs else ""
 
 
 def _estimated(

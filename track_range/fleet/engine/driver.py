@@ -67,6 +67,9 @@ _CANCEL_S = 30.0  # time in which Ray ends a cancelled task; its node is taken f
 _NODE_S = 30.0
 
 
+_ADDED = ("events", "outputs", "")  # stages after which an earlier result is still complete
+
+
 class Attempts:
     """Failed attempts of the clips of a fleet."""
 
@@ -167,6 +170,9 @@ class Driver:
         self._node = ray.get_runtime_context().get_node_id()
         self._cancelled: list[int] = []  # processes of this machine that may not have ended yet
         self._attempts = Attempts()
+        # clips whose results are of earlier files; clips without the outputs, and the reasons
+        self.kept: list[str] = []
+        self.unmade: list[tuple[str, str]] = []
         self._has_started, self._n_starts_lost = False, 0
         self._start_s = time.monotonic()
 
@@ -275,7 +281,8 @@ class Driver:
         # the last act for the clip may have been complete
         row = journal_rows(self._out, [task.clip.name]).get(task.clip.name, {})
         present = row.get("status"), row.get("settings_hash"), row.get("attempts")
-        if present == ("done", self._plan.settings_hash, task.attempt):
+        is_whole = task.stage not in _ADDED  # the row of others was complete before
+        if is_whole and present == ("done", self._plan.keys.settings, task.attempt):
             self._done(row)
         elif failure := failure_of_lost_worker(slot.verdict, is_node_lost=is_node_lost):
             self._repeat_or_fail(task, *failure)
@@ -288,9 +295,13 @@ class Driver:
         row = outcome.row
         if outcome.defect:
             self._repeat_or_fail(task, "internal", outcome.defect)
-        elif outcome.is_unchanged:
-            self._table.touch(task.clip.name, row["inputs"])
+        elif outcome.is_kept:
+            self.kept.append(task.clip.name)
             self._state.skipped += 1
+        elif outcome.changes is not None:
+            self._table.touch(task.clip.name, outcome.changes)
+            self._state.done += bool(task.stage)
+            self._state.skipped += not task.stage
         elif row["status"] == "done":
             self._done(row)
         elif outcome.is_transient:
@@ -371,8 +382,11 @@ class Driver:
         self._add_failed(task, failed.row())
 
     def _add_failed(self, task: ClipTask, row: Row) -> None:
+        self._state.failed += 1
+        if task.stage in _ADDED:  # the complete result remains
+            self.unmade.append((task.clip.name, row["error"]))
+            return
         if not row["inputs"]:
             row["inputs"] = present_fingerprint(task.clip)
         publish_record(self._out, row)
         self._table.add(row, is_in_journal=True)
-        self._state.failed += 1

@@ -11,9 +11,14 @@ from rich.console import Console
 
 from track_range.fleet.engine.cameras import with_cameras
 from track_range.fleet.engine.cluster import connected
-from track_range.fleet.engine.plan import FleetPlan, Process, fleet_plan
+from track_range.fleet.engine.plan import ClipTask, FleetPlan, Process, fleet_plan, named_options
 from track_range.fleet.engine.progress import shown_progress, worker_state
-from track_range.fleet.engine.remaining import remaining, work_text
+from track_range.fleet.engine.remaining import (
+    WouldReplaceError,
+    check_replaced,
+    remaining,
+    work_text,
+)
 from track_range.fleet.errors import FleetError
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.output.data_set import ClipTable, remove_unfinished
@@ -23,19 +28,19 @@ from track_range.fleet.storage.errors import StorageError
 from track_range.foundation.errors import RunStoppedError, UserError
 from track_range.foundation.files.input_files import counted
 from track_range.run.interrupts import ignore_interrupts, stop_on_interrupt
-from track_range.run.options.anonymity import without_folders
 
 _MAX_STATES = 1000  # largest number of workers in fleet.json
-# settings that fleet.json of an anonymized fleet does not contain, since they name folders
-_WITH_FOLDERS = ("recordings", "out", "pattern", "rig", "settings", "cache_dir")
 
 
 class FleetResult(NamedTuple):
-    """Clips by result, names and errors of failed clips, and duration of the run in s."""
+    """Clips by result, names and errors of failed clips, duration of the run in s, and names of
+    clips that keep results of earlier files.
+    """
 
     counts: FleetState
     failed: list[tuple[str, str]]
     wall_s: float
+    kept: list[str]
 
 
 def run_fleet(
@@ -79,19 +84,22 @@ def run_fleet(
 class _FleetRun:
     def __init__(self, plan: FleetPlan, clips: Sequence[Clip], console: Console) -> None:
         self._plan, self._clips, self._console = plan, clips, console
-        options = _options(plan)
+        options = named_options(plan)
         self._state = FleetState(
-            state="running", total=len(clips), settings_hash=plan.settings_hash, options=options
+            state="running", total=len(clips), settings_hash=plan.keys.settings, options=options
         )
+        self._kept: list[str] = []
+        self._unmade: list[tuple[str, str]] = []
         self._next_heartbeat_s = 0.0
         self._table = ClipTable(plan.out)
 
     def run(self, process: Process) -> FleetResult:
         state = self._state
-        self._write_state("running")
         try:
+            todo = self._remaining()
+            self._write_state("running")
             self._table.compile()
-            self._process_remaining(process)
+            self._process_all(todo, process)
             self._table.compile(is_sorted=True)
         except KeyboardInterrupt:
             self._finish("stopped", "stopped by the user")
@@ -99,6 +107,8 @@ class _FleetRun:
                 f"stopped by the user; {state.skipped + state.done} of {state.total} clips are "
                 "complete; repeat the command to continue."
             ) from None
+        except WouldReplaceError:  # the results and their state are as before
+            raise
         except Exception as error:
             kind = (
                 ""
@@ -109,13 +119,21 @@ class _FleetRun:
             raise
         self._write_state("finished")
         failed = self._table.failed({clip.name for clip in self._clips})
-        return FleetResult(state, failed, state.heartbeat_s - state.started_s)
+        failed = sorted([*failed, *self._unmade])
+        return FleetResult(state, failed, state.heartbeat_s - state.started_s, sorted(self._kept))
 
-    def _process_remaining(self, process: Process) -> None:
-        state, plan, table = self._state, self._plan, self._table
+    def _remaining(self) -> list[ClipTask]:
+        """The clips to process; WouldReplaceError if they have results that may not be replaced."""
+        state, plan = self._state, self._plan
         todo, state.skipped, state.failed = remaining(
-            self._clips, table, plan.settings_hash, is_failed_repeated=plan.settings.retry_failed
+            self._clips, self._table, plan.keys, is_failed_repeated=plan.settings.retry_failed
         )
+        if not plan.settings.overwrite:
+            check_replaced(todo, plan)
+        return todo
+
+    def _process_all(self, todo: Sequence[ClipTask], process: Process) -> None:
+        state, plan, table = self._state, self._plan, self._table
         if not todo:
             return
         # Ray has replaced the handlers
@@ -140,6 +158,7 @@ class _FleetRun:
                         )
 
                 driver = Driver(plan, process, n_workers, table, todo, state, report)
+                self._kept, self._unmade = driver.kept, driver.unmade
                 try:
                     driver.run()
                 finally:
@@ -165,17 +184,3 @@ class _FleetRun:
             time.time(),
         )
         state.write(self._plan.out)
-
-
-def _options(plan: FleetPlan) -> dict[str, Any]:
-    own = plan.settings.model_dump(mode="json", exclude_none=True)
-    own["recordings"] = own["recordings"][:10]
-    plain = (str, int, float, bool, list, dict, type(None))
-    run = {
-        key: value if isinstance(value, plain) else str(value)
-        for key, value in plan.options.items()
-    }
-    if plan.is_anonymized:
-        own = {key: value for key, value in own.items() if key not in _WITH_FOLDERS}
-        run = without_folders(run)
-    return {**own, "run": run}

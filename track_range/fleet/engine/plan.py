@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sized
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from track_range.detection.catalogue.lookup import find_model
 from track_range.detection.classes import road_class_ids
@@ -27,6 +27,7 @@ from track_range.foundation.schemas.options import is_file, option_of
 from track_range.ranging.registry import origins
 from track_range.ranging.size_models.curve import load_curves
 from track_range.recording.speed_source import AUTO, OFF
+from track_range.run.options.anonymity import without_folders
 from track_range.run.options.detection import MASK_SUFFIXES
 from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.options.precedence import settings_from
@@ -37,10 +38,14 @@ from track_range.run.options.settings_file import read_settings
 _NOT_TAKEN = RunSettings.fields_where(lambda field: option_of(field).instead) | (
     RunSettings.model_fields.keys() & FleetSettings.model_fields.keys()
 )
+_STAGES = {name: RunSettings.stage_of(name) for name in RunSettings.model_fields}
 # not taken from a settings.yaml
-_OUTPUTS = RunSettings.fields_where(lambda field: option_of(field).is_output)
+_OUTPUTS = {name for name, stage in _STAGES.items() if stage == "outputs"}
 # that are, or may be, files which all clips share
 _SHARED_FILES = RunSettings.fields_where(is_file) - _NOT_TAKEN
+
+# settings that fleet.json of an anonymized fleet does not contain, since they name folders
+_WITH_FOLDERS = ("recordings", "out", "pattern", "rig", "settings", "cache_dir")
 
 
 class FileNames:
@@ -82,6 +87,25 @@ def _folders(location: Location) -> Iterable[str]:
     return [f"{parent}/" for parent in parents if parent != parent.parent]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StageKeys:
+    """Hashes of what all clips have in common, by the stage that it changes; each stage is computed
+    again if its key, or that of a stage before it, has changed.
+    """
+
+    detections: str = ""
+    tracks: str = ""  # tracks and distances, with the key of the detections in it
+    events: str = ""
+    # files besides tracks and events, by name and variant, such as "overlay, recorded images"
+    outputs: tuple[str, ...] = ()
+    settings: str = ""  # of tracks and events together
+    former: str = ""  # of all options in one, as in records of earlier versions
+
+
+# the first stage that is computed for a clip; "" = none, if its files are the same
+Stage = Literal["detections", "tracks", "events", "outputs", ""]
+
+
 @dataclass(frozen=True, slots=True)
 class ClipTask:
     """A clip for a worker."""
@@ -90,7 +114,14 @@ class ClipTask:
     attempt: int = 1  # counted from 1
     # content hash of the complete result, if the files have only been touched since; "" = none
     known_hash: str = ""
-    has_other_options: bool = False  # the complete result is of other options of the runs
+    stage: Stage = "detections"
+    made: tuple[str, ...] = ()  # outputs of the complete result
+    is_replaced: bool = False  # whether parts of a complete result are replaced
+
+
+def output_name(output: str) -> str:
+    """Name of an output without its variant."""
+    return output.partition(",")[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,8 +131,9 @@ class ClipOutcome:
     """
 
     row: Row
-    # the content equals the complete result; only `inputs` of the row counts
-    is_unchanged: bool = False
+    # the complete result remains, with these columns; None = `row` replaces it
+    changes: Mapping[str, Any] | None = None
+    is_kept: bool = False  # the files have changed, but the complete result may not be replaced
     is_transient: bool = False  # the failure may not repeat itself
     defect: str = ""  # text of an exception that the processing has not caught; "" = none
     fatal: str = ""  # why the fleet cannot continue, one sentence; "" = it can
@@ -125,8 +157,8 @@ class FleetPlan:
 
     settings: FleetSettings
     options: Mapping[str, Any]
-    settings_hash: str = ""  # of the settings that all clips have in common
-    shared: Collection[str] = ()  # those that are files
+    keys: StageKeys = field(default_factory=StageKeys)
+    shared: Collection[str] = ()  # settings that are files
     version: str = field(default_factory=lambda: version("track-range"))
 
     @property
@@ -148,7 +180,10 @@ class FleetPlan:
             attempts=attempts,
             left=names.left,
             right=names.right,
-            settings_hash=self.settings_hash,
+            settings_hash=self.keys.settings,
+            detections_key=self.keys.detections,
+            tracks_key=self.keys.tracks,
+            events_key=self.keys.events,
             version=self.version,
             labels=dict(clip.labels),
         )
@@ -204,15 +239,55 @@ def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan
     # a camera of the settings is that of --rig-camera
     common = {key for key in values if key not in _NOT_TAKEN or key == "camera"}
     hashed = {key: value for key, value in values.items() if key in common} | hashes
-    content = {"run": hashed, "reports": settings.reports, "version": version("track-range")}
-    content |= {"methods": extra} if (extra := origins()) else {}
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    is_written = "write" in given
     return FleetPlan(
         settings=settings,
         options={**given, **{name: str(path) for name, path in files.items() if name in given}},
-        settings_hash=f"sha256:{hashlib.sha256(text.encode()).hexdigest()}",
+        keys=_keys(hashed, _outputs(settings, checked, is_written), has_reports=settings.reports),
         shared=tuple(files),
     )
+
+
+def _keys(values: Mapping[str, Any], outputs: tuple[str, ...], *, has_reports: bool) -> StageKeys:
+    """The keys of options, with the hash of the content in place of the name of a file."""
+    origin: dict[str, Any] = {"version": version("track-range")}
+    if extra := origins():
+        origin["methods"] = extra
+
+    def key(*stages: str, **others: object) -> str:
+        of_stages = {name: value for name, value in values.items() if _STAGES[name] in stages}
+        return hashed_text({"run": of_stages, **others, **origin})
+
+    return StageKeys(
+        detections=key("detections"),
+        tracks=key("detections", "tracks"),
+        events=key("events"),
+        outputs=outputs,
+        settings=key("detections", "tracks", "events"),
+        former=key("detections", "tracks", "events", "outputs", reports=has_reports),
+    )
+
+
+def hashed_text(content: Mapping[str, Any]) -> str:
+    """Hash of values in canonical JSON."""
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
+
+
+def _outputs(settings: FleetSettings, run: RunSettings, is_written: bool) -> tuple[str, ...]:
+    """The files of a clip besides its tracks and events, by name and variant."""
+    variants = {"mcap": f"mcap, {run.mcap_profile}{', images' * run.mcap_images}"}
+    names = [name for name in run.write if name != "parquet"] if is_written else []
+    overlay = f"overlay{', disparity' * run.overlay_disparity}"
+    others = {
+        f"{overlay}{', recorded images' * run.overlay_recorded}": run.overlay,
+        "clips": run.clips,
+        "disparity": run.disparity,
+        "telemetry": run.keep_gps,
+        "reports": settings.reports,
+    }
+    written = [variants.get(name, name) for name in names]
+    return (*written, *(name for name, is_made in others.items() if is_made))
 
 
 def _validated(options: Mapping[str, Any]) -> RunSettings:
@@ -252,3 +327,18 @@ def _shared_files(settings: RunSettings) -> dict[str, Path]:
         ):
             files[name] = Path(value).absolute()
     return files
+
+
+def named_options(plan: FleetPlan) -> dict[str, Any]:
+    """The options for fleet.json, those of the runs in `run`."""
+    own = plan.settings.model_dump(mode="json", exclude_none=True)
+    own["recordings"] = own["recordings"][:10]
+    plain = (str, int, float, bool, list, dict, type(None))
+    run = {
+        key: value if isinstance(value, plain) else str(value)
+        for key, value in plan.options.items()
+    }
+    if plan.is_anonymized:
+        own = {key: value for key, value in own.items() if key not in _WITH_FOLDERS}
+        run = without_folders(run)
+    return {**own, "run": run}

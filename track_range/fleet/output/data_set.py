@@ -5,6 +5,8 @@
     OUT/journal/NAME.json                   row of a clip that is newer than clips.parquet
     OUT/tracks/clip=NAME/tracks.parquet     rows of a clip
     OUT/events/clip=NAME/events.parquet     events of a clip
+    OUT/detections/clip=NAME/...            boxes of the detector, for a later run (`output.stored`)
+    OUT/poses/clip=NAME/poses.parquet       path of the camera, for a later search of events
     OUT/runs/clip=NAME/...                  other files of a clip
     OUT/unfinished/...                      files that are being written
 
@@ -21,7 +23,7 @@ import os
 import platform
 import shutil
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -29,12 +31,17 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
 
 from track_range.fleet.errors import FleetError
-from track_range.fleet.output.record import SCHEMA_VERSION, Row, merged_table, records_table
+from track_range.fleet.output.record import (
+    SCHEMA_VERSION,
+    Row,
+    merged_table,
+    records_table,
+    with_all_columns,
+)
 from track_range.fleet.storage.errors import StorageError, storage_errors
 from track_range.fleet.storage.location import Location
 from track_range.foundation.files.input_files import shortened
 from track_range.foundation.files.structured_text import parse_json
-from track_range.results.events.event import CLIPS_FOLDER
 from track_range.results.events.files import EVENTS_PARQUET
 
 if TYPE_CHECKING:
@@ -70,6 +77,16 @@ def tracks_location(out: Location, name: str) -> Location:
 def events_location(out: Location, name: str) -> Location:
     """Location of the events of a clip."""
     return out.child("events", partition(name), EVENTS_PARQUET)
+
+
+def detections_location(out: Location, name: str) -> Location:
+    """Location of the boxes that the detector found in a clip."""
+    return out.child("detections", partition(name), "detections.parquet")
+
+
+def poses_location(out: Location, name: str) -> Location:
+    """Location of the path of the camera in a clip."""
+    return out.child("poses", partition(name), "poses.parquet")
 
 
 def runs_location(out: Location, name: str) -> Location:
@@ -122,16 +139,15 @@ def remove_unfinished(out: Location) -> None:
         shutil.rmtree(out.path / UNFINISHED, ignore_errors=True)
 
 
-def publish_event_videos(out: Location, name: str, files: Collection[Path]) -> None:
-    """Publish the videos of the events of a clip, and remove videos of an earlier result; errors as
-    from `publish`.
+def publish_files(out: Location, folder: Location, files: Collection[Path]) -> None:
+    """Publish files in a folder of the output, and remove files of an earlier result from it;
+    errors as from `publish`.
     """
-    folder = runs_location(out, name).child(CLIPS_FOLDER)
     for file in files:
         publish(out, folder.child(file.name), file)
     names = {file.name for file in files}
     for entry in list(folder.list()) if folder.exists() else ():
-        if entry.name not in names:
+        if entry.name not in names and not entry.stat.is_folder:
             folder.child(entry.name).remove()
 
 
@@ -182,15 +198,15 @@ class ClipTable:
         if is_in_journal:
             self._in_journal.add(row["clip"])
 
-    def touch(self, name: str, inputs: str) -> None:
-        """Set the fingerprint of the inputs of a clip whose result is unchanged."""
+    def touch(self, name: str, changes: Mapping[str, Any]) -> None:
+        """Change columns of a clip whose result remains, such as the fingerprint of its inputs."""
         import pyarrow.compute as pc
 
         row = self.newer.get(name)
         if row is None and (index := pc.index(self.table["clip"], name).as_py()) >= 0:
             row = self.table.slice(index, 1).to_pylist()[0]
         if row is not None:
-            self.add({**row, "inputs": inputs}, is_in_journal=False)
+            self.add({**row, **changes}, is_in_journal=False)
 
     def collect_journal(self) -> int:
         """Add rows of workers that an interrupted driver does not know; returns how many of the
@@ -294,7 +310,7 @@ def _compiled(out: Location) -> pa.Table:
             f"{location}: expected version {SCHEMA_VERSION} or earlier, found {version}, of a "
             "newer track-range; update with `pip install --upgrade track-range`."
         )
-    return table
+    return with_all_columns(table)
 
 
 def _journal_location(out: Location, name: str) -> Location:

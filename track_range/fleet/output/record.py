@@ -40,7 +40,12 @@ class ClipRecord:
     inputs: str = ""  # files of the clip with size and time of change, and its settings, as JSON
     # hash of the content of the files and of the clip's settings; "" = not read
     content_hash: str = ""
-    settings_hash: str = ""
+    settings_hash: str = ""  # of the options of tracks and events that all clips have in common
+    # of these options by stage (`StageKeys`); "" = a result of an earlier version
+    detections_key: str = ""
+    tracks_key: str = ""
+    events_key: str = ""
+    outputs: Sequence[str] = ()  # files in runs/clip=NAME, by name and variant
     version: str = ""
     frames: int | None = None
     rows: int | None = None
@@ -73,7 +78,7 @@ class ClipRecord:
     def row(self) -> Row:
         """Values by column; labels with the name of another column have the prefix `label_`."""
         row: Row = {name: getattr(self, name) for name in _FIXED}
-        row["warnings"] = list(self.warnings)
+        row |= {"warnings": list(self.warnings), "outputs": list(self.outputs)}
         row.update({f"{stage}_ms": value for stage, value in self.stages_ms.items()})
         row.update({f"{method}_coverage": value for method, value in self.coverage.items()})
         for method, figures in self.errors.items():
@@ -114,6 +119,26 @@ def records_table(rows: Iterable[Mapping[str, Any]]) -> pa.Table:
     ]
     metadata = {"track_range.fleet_schema_version": str(SCHEMA_VERSION)}
     return pa.Table.from_pylist(plain, schema=pa.schema(list(types.items()), metadata=metadata))
+
+
+def label_columns(table: pa.Table) -> list[str]:
+    """The columns with labels of the clips: texts that every clip may have, and no figure."""
+    import pyarrow as pa
+
+    return [
+        field.name
+        for field in table.schema
+        if field.name not in _FIXED and pa.types.is_string(field.type)
+    ]
+
+
+def with_all_columns(table: pa.Table) -> pa.Table:
+    """The table with the fixed columns that earlier versions did not have, null."""
+    import pyarrow as pa
+
+    for name in set(_FIXED) - set(table.column_names):
+        table = table.append_column(name, pa.nulls(table.num_rows, _arrow_type(name, ())))
+    return table
 
 
 def _arrow_type(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.DataType:

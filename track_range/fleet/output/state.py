@@ -202,7 +202,9 @@ def state_text(state: FleetState | None) -> str:
 
 
 def duration_text(seconds: float) -> str:
-    """A duration as "45 s", "94 s", "12 min" or "3 h 20 min"."""
+    """A duration as "0.6 s", "45 s", "94 s", "12 min" or "3 h 20 min"."""
+    if 0 < seconds < 1:
+        return f"{max(seconds, 0.1):.1f} s"
     if seconds < 180:
         return f"{max(seconds, 0):.0f} s"
     minutes = round(seconds / 60)

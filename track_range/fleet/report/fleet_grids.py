@@ -233,6 +233,12 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
     return sections
 
 
+def event_grid(title: str, rows: Sequence[Figures]) -> tables.Grid:
+    """Table of events of a fleet, with the names of their copied videos if they have been."""
+    video = [("video", "video", "{}")] if rows and "video" in rows[0] else []
+    return _ranking(title, rows, [*_EVENT_MEASURES, *video], Links(), is_event=True)
+
+
 def _grid(
     title: str, name: str, rows: Sequence[Figures], columns: Iterable[tables.ColumnSpec]
 ) -> tables.Grid:

@@ -50,8 +50,9 @@ class Declaration:
     is_file_only: bool = False  # the option exists only in settings files, not on the command line
     # a text that may be the path of a file or folder; fields of type `Path` are
     is_file: bool = False
-    # the option selects or shapes files of results: it does not change their rows, and is no input
-    is_output: bool = False
+    # the first part of the results that the option changes; "" = that of the model in which the
+    # option is declared
+    stage: str = ""
     # the clips of a fleet may have different values, in a column of the manifest
     is_per_clip: bool = False
     # all clips of a fleet have one value: a manifest has no column with this name
@@ -136,6 +137,7 @@ class Options(BaseModel):
     """
 
     panel: ClassVar[str | None] = None  # heading in the help; None = that of the other options
+    stage: ClassVar[str] = ""  # of the options that declare none
 
     model_config = ConfigDict(
         extra="forbid",
@@ -195,8 +197,18 @@ class Options(BaseModel):
     @classmethod
     def panel_of(cls, name: str) -> str | None:
         """Heading under which a field is listed in the help."""
-        declared_in = next(base for base in cls.__mro__ if name in base.__annotations__)
+        declared_in = cls._declared_in(name)
         return option_of(cls.model_fields[name]).panel or getattr(declared_in, "panel", None)
+
+    @classmethod
+    def stage_of(cls, name: str) -> str:
+        """The first part of the results that an option changes; "" = it has none."""
+        declared_in = cls._declared_in(name)
+        return option_of(cls.model_fields[name]).stage or getattr(declared_in, "stage", "")
+
+    @classmethod
+    def _declared_in(cls, name: str) -> type:
+        return next(base for base in cls.__mro__ if name in base.__annotations__)
 
     @classmethod
     def flag(cls, name: str) -> str:

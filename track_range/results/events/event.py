@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from typing import Literal, get_args
 
 from track_range.foundation.schemas.validation import check_numbers
@@ -28,6 +28,9 @@ WARNING_KINDS: tuple[EventKind, ...] = ("forward_collision", "cut_in", "pedestri
 """Kinds of events that can contain a collision warning."""
 
 CLIPS_FOLDER = "clips"  # folder of the clips of events in that of a run
+# time before the start and after the end of an event that its clip and its scenario have, s
+_BEFORE_S, _AFTER_S = 3.0, 2.0
+_MAX_CLIP_S = 30.0  # of a clip; that of a longer event has two thirds before the peak
 
 _CLIP_NAME = re.compile(rf"\d{{2,}}-(?:{'|'.join(EVENT_KINDS)})-\d+\.mp4", re.ASCII)
 
@@ -98,6 +101,7 @@ class Event:
     peak_headway_s: float = field(default=math.nan, metadata=_TIME)
     peak_probability: float = field(default=math.nan, metadata=_PROBABILITY)
     peak_distance_sigma_m: float = field(default=math.nan, metadata=_DISTANCE)
+    clip_file: str = ""  # its video, relative to the folder of the results; "" = none
 
 
 EVENT_COLUMNS = tuple("class" if one.name == "class_name" else one.name for one in fields(Event))
@@ -152,11 +156,33 @@ def severity_key(event: Event) -> tuple[bool, float, float, float, float]:
     )
 
 
+def clip_interval_s(event: Event) -> tuple[float, float]:
+    """Start and end of an event's clip in seconds from the start of the video; the video may be
+    shorter.
+    """
+    start_s, end_s = event.start_s - _BEFORE_S, event.end_s + _AFTER_S
+    if end_s - start_s > _MAX_CLIP_S:
+        start_s = min(max(event.peak_s - 2 * _MAX_CLIP_S / 3, start_s), end_s - _MAX_CLIP_S)
+        end_s = start_s + _MAX_CLIP_S
+    return start_s, end_s
+
+
 def clip_name(number: int, kind: str, track_id: int) -> str:
     """File name of the clip of the event in row `number` of events.csv, counted from 1:
     "02-cut_in-17.mp4".
     """
     return f"{number:02}-{kind}-{track_id}.mp4"
+
+
+def with_clip_files(
+    events: Sequence[Event], names: Collection[str], folder: str = CLIPS_FOLDER
+) -> tuple[Event, ...]:
+    """All events of a run with their clips, if these are among the names of files in a folder."""
+    clips = [clip_name(i + 1, event.kind, event.track_id) for i, event in enumerate(events)]
+    return tuple(
+        replace(event, clip_file=f"{folder}/{name}" if name in names else "")
+        for event, name in zip(events, clips, strict=True)
+    )
 
 
 def is_clip_name(name: str) -> bool:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -436,6 +437,11 @@ def _is_by_pair(result: FrameResult, row: int) -> bool:
 
 def _event(event: _Open) -> Event:
     extremes, peak = event.extremes, event.peak
+    measures: dict[str, Any] = {
+        name: extremes[name] for name in ("gap_m", "drac_mps2", "mdrac_mps2")
+    }
+    for name in ("distance_m", "closing_mps", "headway_s", "probability"):
+        measures[f"peak_{name}"] = peak[name]
     return Event(
         kind=event.kind,
         start_s=event.start_s,
@@ -454,13 +460,9 @@ def _event(event: _Open) -> Event:
         reason=_reason(event),
         headway_s=extremes["headway_s"],
         scale_in_doubt=int(peak["scale_in_doubt"]),
-        **{name: extremes[name] for name in ("gap_m", "drac_mps2", "mdrac_mps2")},
+        **measures,
         tet_s=event.tet_s,
         tit_s2=event.tit_s2,
-        **{
-            f"peak_{name}": peak[name]
-            for name in ("distance_m", "closing_mps", "headway_s", "probability")
-        },
         peak_ttc_s=peak["ttc_front_s"],
         peak_distance_sigma_m=peak["sigma_m"],
     )

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,8 @@ from track_range.results.formats.run_info import RunInfo
 from track_range.results.formats.scene import LENGTH_M
 
 SCENARIO_FILE = "run.xosc"
-_EGO = "ego"
+EGO = "ego"
+N_VALUES = 12  # of a row
 # of recordings without UTC, so that the same run gives the same file
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 # category and nominal height in m; others are not written
@@ -51,11 +53,45 @@ def _node(tag: str, *children: ElementTree.Element, **attributes: Any) -> Elemen
     return node
 
 
-def _position(x_m: float, y_m: float, heading_rad: float) -> ElementTree.Element:
-    return _node(
-        "Position",
-        _node("WorldPosition", x=f"{x_m:.3f}", y=f"{y_m:.3f}", z=0, h=f"{heading_rad:.4f}"),
-    )
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Variation:
+    """Parameters of a scenario, by which the trajectories of some objects vary.
+
+    With the declared values, everything is as measured.
+    """
+
+    parameters: Mapping[str, str | float]  # declared values
+    # what is added to x and y of an object, and scale and offset of its times, as expressions
+    shifts: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    timings: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+
+    def position(
+        self, name: str, x_m: float, y_m: float, heading_rad: float
+    ) -> ElementTree.Element:
+        """A position of an object."""
+        x, y = f"{x_m:.3f}", f"{y_m:.3f}"
+        if name in self.shifts:
+            x, y = (
+                f"${{{value} + {shift}}}"
+                for value, shift in zip((x, y), self.shifts[name], strict=True)
+            )
+        return _node("Position", _node("WorldPosition", x=x, y=y, z=0, h=f"{heading_rad:.4f}"))
+
+    def timing(self, name: str) -> ElementTree.Element:
+        """The time reference of an object's trajectory."""
+        scale, offset = self.timings.get(name, ("1", "0"))
+        return _node("Timing", domainAbsoluteRelative="absolute", scale=scale, offset=offset)
+
+    def declarations(self) -> ElementTree.Element:
+        """The declarations of the parameters."""
+        nodes = []
+        for name, value in self.parameters.items():
+            kind, text = ("string", value) if isinstance(value, str) else ("double", f"{value:.3f}")
+            nodes.append(_node("ParameterDeclaration", name=name, parameterType=kind, value=text))
+        return _node("ParameterDeclarations", *nodes)
+
+
+_MEASURED = Variation(parameters={})
 
 
 def _at(name: str, time_s: float) -> ElementTree.Element:
@@ -92,63 +128,93 @@ class OpenScenarioWriter:
 
     def close(self, summary: Mapping[str, Any] | None) -> None:
         """Write the file."""
-        root = self._scenario()
-        ElementTree.indent(root)
-        content = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
-        atomic_files.write_bytes(self._path, content + b"\n")
+        write_scenario(self._path, self.drive())
 
-    def _scenario(self) -> ElementTree.Element:
-        start_s = self._ego[0][0] if self._ego else 0.0
-        utc_s = self._info.start_utc_s
-        date = _EPOCH if utc_s is None else datetime.fromtimestamp(utc_s + start_s, UTC)
-        ego_m = (WarningSettings().ego_length_m, WarningSettings().ego_width_m, 1.5)
-        path = np.array(self._ego).reshape(-1, 4) - [start_s, 0, 0, 0]
-        objects = (
-            [(_EGO, "car", ego_m, WarningSettings().front_m - ego_m[0] / 2, path)]
-            if len(path)
-            else []
+    def drive(self) -> Trajectories:
+        """The drive so far."""
+        ego = np.array(self._ego).reshape(-1, 4)
+        rows = np.concatenate([np.zeros((0, N_VALUES)), *self._tracks])
+        return Trajectories(ego=ego, rows=rows, start_utc_s=self._info.start_utc_s)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trajectories:
+    """Poses of the ego vehicle and rows of the tracks, see `_rows`."""
+
+    ego: FloatArray  # (N, 4) time, x, y and heading
+    rows: FloatArray  # (M, N_VALUES)
+    start_utc_s: float | None  # of time 0; None = unknown
+
+    def between(self, start_s: float, end_s: float) -> Trajectories:
+        """The part between two times."""
+        ego, rows = (
+            table[(table[:, 0] >= start_s) & (table[:, 0] <= end_s)]
+            for table in (self.ego, self.rows)
         )
-        rows = np.concatenate([np.zeros((0, 8)), *self._tracks]) - [start_s, *[0] * 7]
-        for track_id in dict.fromkeys(rows[:, 6].tolist()):
-            track = rows[rows[:, 6] == track_id]
-            class_id = int(np.bincount(track[:, 7].astype(int)).argmax())
-            name = ROAD_CLASSES[class_id]
-            category, height_m = _KINDS[name]
-            size_m = (LENGTH_M[name], 2 * float(HALF_WIDTH_M[class_id]), height_m)
-            objects.append(
-                (f"{name}-{track_id:.0f}", category, size_m, 0.0, _placed(track, size_m))
-            )
-        init = [_private(name, table[0]) for name, *_, table in objects if table[0, 0] <= 0]
-        groups = [_maneuvers(name, table) for name, *_, table in objects]
-        story = (
-            [_node("Story", _node("Act", *groups, _at("start", 0.0), name="drive"), name="drive")]
-            if groups
-            else []
-        )
-        return _node(
-            "OpenSCENARIO",
-            _node(
-                "FileHeader",
-                revMajor=1,
-                revMinor=2,
-                date=date.strftime("%Y-%m-%dT%H:%M:%S"),
-                author="track-range",
-                description="Trajectories measured with track-range; x forward, y left of the "
-                "first camera pose, m",
-            ),
-            _node("ParameterDeclarations"),
-            _node("CatalogLocations"),
-            _node("RoadNetwork"),
-            _node("Entities", *(_entity(*given[:-1]) for given in objects)),
-            _node(
-                "Storyboard", _node("Init", _node("Actions", *init)), *story, _node("StopTrigger")
-            ),
-        )
+        return replace(self, ego=ego, rows=rows)
+
+
+def object_name(class_id: FloatArray, track_id: float) -> str:
+    """Name of a track in a scenario, by its most frequent class."""
+    return f"{ROAD_CLASSES[int(np.bincount(class_id.astype(int)).argmax())]}-{track_id:.0f}"
+
+
+def write_scenario(
+    path: Path,
+    drive: Trajectories,
+    variation: Variation = _MEASURED,
+    description: str = "Trajectories measured with track-range",
+) -> None:
+    """Write a drive as a scenario, atomically."""
+    root = _scenario(drive, variation, description)
+    ElementTree.indent(root)
+    content = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+    atomic_files.write_bytes(path, content + b"\n")
+
+
+def _scenario(drive: Trajectories, variation: Variation, description: str) -> ElementTree.Element:
+    start_s, utc_s = float(drive.ego[0, 0]) if len(drive.ego) else 0.0, drive.start_utc_s
+    date = _EPOCH if utc_s is None else datetime.fromtimestamp(utc_s + start_s, UTC)
+    ego_m = (WarningSettings().ego_length_m, WarningSettings().ego_width_m, 1.5)
+    path, rows = drive.ego - [start_s, 0, 0, 0], drive.rows - [start_s, *[0] * (N_VALUES - 1)]
+    centre_x_m = WarningSettings().front_m - ego_m[0] / 2
+    objects = [(EGO, "car", ego_m, centre_x_m, path)] if len(path) else []
+    for track_id in dict.fromkeys(rows[:, 6].tolist()):
+        track = rows[rows[:, 6] == track_id]
+        name = object_name(track[:, 7], track_id)
+        class_name = name.rpartition("-")[0]
+        category, height_m = _KINDS[class_name]
+        half_width_m = float(HALF_WIDTH_M[ROAD_CLASSES.index(class_name)])
+        size_m = (LENGTH_M[class_name], 2 * half_width_m, height_m)
+        objects.append((name, category, size_m, 0.0, _placed(track, size_m)))
+    init = [_private(name, table[0], variation) for name, *_, table in objects if table[0, 0] <= 0]
+    groups = [_maneuvers(name, table, variation) for name, *_, table in objects]
+    story = (
+        [_node("Story", _node("Act", *groups, _at("start", 0.0), name="drive"), name="drive")]
+        if groups
+        else []
+    )
+    return _node(
+        "OpenSCENARIO",
+        _node(
+            "FileHeader",
+            revMajor=1,
+            revMinor=2,
+            date=date.strftime("%Y-%m-%dT%H:%M:%S"),
+            author="track-range",
+            description=f"{description}; x forward, y left of the first camera pose, m",
+        ),
+        variation.declarations(),
+        _node("CatalogLocations"),
+        _node("RoadNetwork"),
+        _node("Entities", *(_entity(*given[:-1]) for given in objects)),
+        _node("Storyboard", _node("Init", _node("Actions", *init)), *story, _node("StopTrigger")),
+    )
 
 
 def _rows(result: FrameResult, pose: EgoPose) -> FloatArray:
-    """(N, 8) time, x, y, heading (NaN = unknown), bearing, whether parked, track ID and class of
-    tracks in a frame.
+    """(N, N_VALUES) time, x, y, heading (NaN = unknown), bearing, whether parked, track ID, class,
+    gap to the front, lateral offset from the path of the ego vehicle, speed over ground, its speed.
     """
     tracks, n = result.tracks, len(result.tracks)
     motion = result.motion
@@ -159,7 +225,10 @@ def _rows(result: FrameResult, pose: EgoPose) -> FloatArray:
     )
     place = (np.full(n, result.time_s), x_m, y_m, np.radians(motion.heading_deg))
     bearing_rad = np.arctan2(y_m - pose.y_m, x_m - pose.x_m)
-    rows = np.column_stack([*place, bearing_rad, is_parked, tracks.track_id, tracks.class_id])
+    known = (result.safety.gap_m, result.warnings.path_offset_m, motion.speed_mps)
+    identity = (tracks.track_id, tracks.class_id)
+    ego_mps = np.full(n, result.ego_mps)
+    rows = np.column_stack([*place, bearing_rad, is_parked, *identity, *known, ego_mps])
     return np.asarray(rows[np.isfinite(x_m) & _IS_WRITTEN[tracks.class_id]])
 
 
@@ -212,12 +281,13 @@ def _entity(
     return _node("ScenarioObject", body, name=name)
 
 
-def _private(name: str, row: FloatArray) -> ElementTree.Element:
-    teleport = _node("PrivateAction", _node("TeleportAction", _position(*row[1:4].tolist())))
+def _private(name: str, row: FloatArray, variation: Variation) -> ElementTree.Element:
+    position = variation.position(name, *row[1:4].tolist())
+    teleport = _node("PrivateAction", _node("TeleportAction", position))
     return _node("Private", teleport, entityRef=name)
 
 
-def _maneuvers(name: str, table: FloatArray) -> ElementTree.Element:
+def _maneuvers(name: str, table: FloatArray, variation: Variation) -> ElementTree.Element:
     """The actions of an object: it appears, follows its trajectory, and disappears if the ego
     vehicle remains.
     """
@@ -225,7 +295,8 @@ def _maneuvers(name: str, table: FloatArray) -> ElementTree.Element:
     if len(table) == 1:  # a trajectory has two vertices
         table = np.concatenate([table, table + np.eye(1, 4) * 0.001])
     vertices = [
-        _node("Vertex", _position(*row[1:4]), time=f"{row[0]:.3f}") for row in table.tolist()
+        _node("Vertex", variation.position(name, *row[1:4]), time=f"{row[0]:.3f}")
+        for row in table.tolist()
     ]
     trajectory = _node(
         "Trajectory",
@@ -233,17 +304,16 @@ def _maneuvers(name: str, table: FloatArray) -> ElementTree.Element:
         name=f"{name} path",
         closed="false",
     )
-    timing = _node("Timing", domainAbsoluteRelative="absolute", scale=1, offset=0)
     follow = _node(
         "FollowTrajectoryAction",
-        _node("TimeReference", timing),
+        _node("TimeReference", variation.timing(name)),
         _node("TrajectoryFollowingMode", followingMode="position"),
         _node("TrajectoryRef", trajectory),
     )
     actions = [("follows", first_s, _node("PrivateAction", _node("RoutingAction", follow)))]
-    if name != _EGO:
+    if name != EGO:
         if first_s > 0:
-            added = _node("AddEntityAction", _position(*table[0, 1:4].tolist()))
+            added = _node("AddEntityAction", variation.position(name, *table[0, 1:4].tolist()))
             actions.insert(
                 0,
                 (

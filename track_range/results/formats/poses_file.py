@@ -48,14 +48,18 @@ class PosesWriter(RowWriter):
 
     def rows(self, result: FrameResult) -> str:
         """The row of a frame."""
-        pose = result.ego_pose
-        if math.isnan(pose.x_m):
+        if math.isnan(result.ego_pose.x_m):
             return ""
-        x, y, heading = pose.sigmas
-        values = (pose.x_m, pose.y_m, math.degrees(pose.heading_rad), x, y, math.degrees(heading))
-        numbers = [*values, result.ego_mps, result.ego_sigma_mps]
-        texts = ["" if math.isnan(value) else f"{value:.3f}" for value in numbers]
+        texts = ["" if math.isnan(value) else f"{value:.3f}" for value in pose_values(result)]
         return csv_text([[str(result.index), f"{result.time_s:.6f}", *texts]])
+
+
+def pose_values(result: FrameResult) -> list[float]:
+    """The columns of a frame after its time, NaN = unknown."""
+    pose = result.ego_pose
+    x, y, heading = pose.sigmas
+    values = (pose.x_m, pose.y_m, math.degrees(pose.heading_rad), x, y, math.degrees(heading))
+    return [*values, result.ego_mps, result.ego_sigma_mps]
 
 
 @dataclass(frozen=True, slots=True)

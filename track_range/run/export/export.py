@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import cv2
 import numpy as np
@@ -29,9 +29,13 @@ from track_range.detection.formats.video_labels.yolo_tracks import DATA_YAML, WR
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.atomic_files import atomic_path, writable, write_bytes
 from track_range.foundation.files.folder_lock import is_locked
+from track_range.foundation.files.input_files import counted
 from track_range.foundation.files.output_files import OutputError, make_folder
 from track_range.foundation.schemas.options import Options, option
+from track_range.results.event_scenarios import write_event_scenarios
+from track_range.results.events.event import Event, is_clip_name
 from track_range.results.folder import DEFAULT_FPS, RunFolder, every_of
+from track_range.results.formats.openscenario_file import OpenScenarioWriter, Trajectories
 from track_range.results.formats.poses_file import read_poses
 from track_range.results.formats.run_info import RunInfo
 from track_range.results.replay import frames_of_rows
@@ -89,6 +93,13 @@ class ExportSettings(Options):
     ]
     to: Annotated[str, option("Format of the output.", choices=export_formats)]
     out: Annotated[Path, option("File to write; a folder for yolo.", metavar="PATH")]
+    per_event: Annotated[
+        bool,
+        option(
+            "With openscenario, a folder with a scenario of each event, NN-KIND-TRACK.xosc, whose "
+            "parameters are the gap, the lateral offset and the speeds at its most critical moment."
+        ),
+    ] = False
     observed_only: Annotated[bool, option("Only detected boxes, no predicted ones.")] = False
     images: Annotated[
         bool,
@@ -115,11 +126,14 @@ class ExportSettings(Options):
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """Result of an export: numbers of written boxes and images, and notes for the user."""
+    """Result of an export: numbers of written boxes, images and scenarios, and notes for the
+    user.
+    """
 
     n_boxes: int
     n_images: int
     notes: tuple[str, ...]
+    n_scenarios: int | None = None  # None = of other formats
 
 
 def export(settings: ExportSettings) -> Exported:
@@ -129,7 +143,9 @@ def export(settings: ExportSettings) -> Exported:
     LabelFileError, VideoError: an input cannot be used, or the output cannot be written;
     UsageError: options that contradict each other.
     """
-    run, camera = open_run(settings.source) if is_run(settings.source) else (None, None)
+    run, camera = None, None
+    if is_run(settings.source):
+        run, camera = open_run(settings.source, has_events=settings.per_event)
     _check(settings, run)
     label_format = LABEL_FORMATS.usable.get(settings.to)
     if label_format is not None and label_format.write is not None:
@@ -147,6 +163,10 @@ def _check(settings: ExportSettings, run: RunFolder | None) -> None:
     """
     if settings.to not in LABEL_FORMATS.usable and settings.to not in WRITERS.names:
         raise UsageError(f"--to {settings.to}: this format is not available in this installation.")
+    if settings.per_event and settings.to != "openscenario":
+        raise UsageError(
+            "--per-event: expected --to openscenario; other formats have no scenarios."
+        )
     if settings.images and settings.to != "yolo":
         raise UsageError("--images: expected --to yolo; other formats have no folder for images.")
     if run is not None and (settings.video is not None or settings.first_frame):
@@ -255,7 +275,8 @@ def _export_rows(
     rows = run.rows.select(is_written)
     frames = frames_listed(boxes_of_run(run, camera))
     writer = create_writer(settings.to)
-    check_replaceable(settings.out, settings.to)
+    if not settings.per_event:
+        check_replaceable(settings.out, settings.to)
     fps, poses = run.fps or DEFAULT_FPS, read_poses(run.folder)
     if settings.to == "openscenario" and poses is None:
         notes = (
@@ -286,8 +307,27 @@ def _export_rows(
                 writer.write(result)
         finally:
             writer.close(run.summary)
-        _move(folder / writer.files[0], settings.out)
-    return Exported(len(rows), 0, notes)
+        if not settings.per_event:
+            _move(folder / writer.files[0], settings.out)
+            return Exported(len(rows), 0, notes)
+        drive = cast(OpenScenarioWriter, writer).drive()
+        n_scenarios = _write_scenarios(drive, run.events, settings.out)
+    if n_missing := len(run.events) - n_scenarios:
+        lacks = "whose road user or camera has no known position"
+        notes = (*notes, f"{counted(n_missing, 'event')}, {lacks}, without a scenario.")
+    return Exported(len(rows), 0, notes, n_scenarios)
+
+
+def _write_scenarios(drive: Trajectories, events: Sequence[Event], out: Path) -> int:
+    """Write a scenario of each event to a folder, in place of those of an earlier export, and
+    return their number.
+    """
+    make_folder(out)
+    for file in out.glob("*.xosc"):
+        if is_clip_name(file.with_suffix(".mp4").name):
+            check_replaceable(file, "openscenario")
+            file.unlink()
+    return len(write_event_scenarios(drive, events, out))
 
 
 def _move(file: Path, out: Path) -> None:

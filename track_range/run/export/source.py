@@ -50,11 +50,11 @@ def run_files(folder: Path) -> list[Path]:
     return [*(folder / name for name in _RUN_FILES), *filter(None, [rows_file(folder)])]
 
 
-def open_run(folder: Path) -> tuple[RunFolder, PinholeCamera | None]:
+def open_run(folder: Path, *, has_events: bool = False) -> tuple[RunFolder, PinholeCamera | None]:
     """The results of a run and its left camera, None = unknown; OutputError if the folder does not
     contain a run.
     """
-    run = read_run_folder(folder, is_rounded=False, has_events=False)
+    run = read_run_folder(folder, is_rounded=False, has_events=has_events)
     file = folder / "settings.yaml"
     if os.path.isfile(file):
         read_yaml(file, OutputError, "the settings of a run")  # an unreadable file is an error here

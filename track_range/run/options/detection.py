@@ -165,6 +165,7 @@ class DetectionOptions(Options):
     """The boxes of a run."""
 
     panel: ClassVar = "Detection"
+    stage: ClassVar = "detections"
 
     detector: Annotated[
         str | None,
@@ -207,6 +208,7 @@ class DetectionOptions(Options):
             "box is dropped if most of it is inside.",
             metavar="'x,y x,y x,y / ...'|MASK.png",
             is_file=True,
+            stage="tracks",  # the detector finds them first
         ),
     ] = None
     names: NamesField = None
@@ -271,6 +273,7 @@ class TrackingOptions(Options):
     """The tracker that gives boxes identities."""
 
     panel: ClassVar = "Tracking"
+    stage: ClassVar = "tracks"
 
     tracker: TrackerField = "deepsort"
     reid: ReidField = None

@@ -22,12 +22,16 @@ from track_range.recording.video.utc import parsed_utc
 # a path, or a name of another kind that is already read
 _SourceName = Path | InstanceOf[SourceName]
 _clip_option = partial(option, is_per_clip=True)
+# of the camera and of the recording, which the detector does not know: if an image is undistorted
+# in another way, it is another one, in which the detector finds the boxes again
+_fact_option = partial(option, stage="tracks")
 
 
 class InputOptions(Options):
     """The recording of a run, and how it is read."""
 
     panel: ClassVar = "Input"
+    stage: ClassVar = "detections"
 
     stereo: Annotated[
         tuple[_SourceName, _SourceName] | None,
@@ -88,16 +92,17 @@ class InputOptions(Options):
     ] = ()
     rig: Annotated[
         Path | None,
-        _clip_option(
+        _fact_option(
             "Calibration file, recognised by its content: rig.yaml, ZED's SN*.conf, DepthAI's "
             "(OAK) JSON, RealSense's, OpenCV's, MATLAB's, NumPy's, Kalibr's, EuRoC's, ROS's, "
             "KITTI's and others, or a folder of such files (default: rig.yaml or calib.txt in the "
-            "folder of the left video; without such a file, distances are uncalibrated)."
+            "folder of the left video; without such a file, distances are uncalibrated).",
+            is_per_clip=True,
         ),
     ] = None
     camera: Annotated[
         tuple[str, ...],
-        option(
+        _fact_option(
             "With a calibration file of several cameras, the name of the camera of --mono, or the "
             "names of the left and the right one of --stereo (default: by the size of the images, "
             "or the only pair; rig show FILE lists the names).",
@@ -106,16 +111,17 @@ class InputOptions(Options):
     ] = ()
     focal_px: Annotated[
         float | None,
-        _clip_option(
+        _fact_option(
             "Focal length in pixels of a camera without a calibration file; the principal point is "
             "the image centre.",
+            is_per_clip=True,
             metavar="PX",
             gt=0,
         ),
     ] = None
     known_distance: Annotated[
         tuple[str, ...],
-        option(
+        _fact_option(
             "Known distance of an object in the video of a camera without a calibration, which "
             "corrects the estimated focal length: along the camera's axis to its nearest surface, "
             "with its box in pixels T_S seconds after the start: 'T_S,X1,Y1,X2,Y2=12.4', or with a "
@@ -204,9 +210,10 @@ class InputOptions(Options):
     ] = None
     start_utc: Annotated[
         str | None,
-        _clip_option(
+        _fact_option(
             "Date and time (UTC) of the video's first frame, for the column utc (default: from the "
             "video's header, its name or its timestamps, if they state a date).",
+            is_per_clip=True,
             metavar="2026-01-31T14:25:30Z",
             instead="the start of a recording belongs to a clip; give it in the column start_utc "
             "of a manifest",
@@ -214,11 +221,12 @@ class InputOptions(Options):
     ] = None
     ego_speed: Annotated[
         str,
-        _clip_option(
+        _fact_option(
             "Speed of the camera along its axis, with --mount that of the vehicle, for the absolute "
             "speeds of objects: from GPS records in the "
             "video or in a file beside it, else from the images (auto), unknown (off), a constant "
             "in km/h, a file (CSV, GPX, NMEA, SRT, ...), or KITTI's oxts folder.",
+            is_per_clip=True,
             words=("auto", "off"),
             metavar="KMH|FILE|DIR",
             is_file=True,

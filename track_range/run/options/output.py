@@ -10,7 +10,7 @@ from track_range.foundation.schemas.options import Options, option
 from track_range.results.formats.mcap import PROFILES
 from track_range.results.writers import DEFAULT_WRITERS, FILES_OF_WRITERS, WRITERS
 
-_file_option = partial(option, is_output=True)
+_file_option = partial(option, stage="outputs")
 
 
 class OutputOptions(Options):
@@ -47,7 +47,9 @@ class OutputOptions(Options):
         bool,
         option(
             "Irreversible blur of heads and number plates in all images of the results, and no "
-            "folder names in the results; undetected heads and plates are not blurred."
+            "folder names in the results; undetected heads and plates are not blurred.",
+            # it blurs more than the boxes that a detector reports
+            stage="detections",
         ),
     ] = False
     mcap_profile: Annotated[
@@ -101,7 +103,7 @@ class OutputOptions(Options):
     ] = False
     overlay_recorded: Annotated[
         bool,
-        option(
+        _file_option(
             "Overlay on the recorded images of a wide lens instead of the undistorted images.",
             flag="--overlay-recorded/--no-overlay-recorded",
         ),

@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-from track_range.foundation.schemas.options import is_file, option_of, value_type
+from track_range.foundation.schemas.options import is_file, value_type
 from track_range.recording.sources.names import source_of
 from track_range.run.options.settings import RunSettings
 
 # names of settings that are, or may be, paths; that the run reads; and that are always paths
 FILES = RunSettings.fields_where(is_file)
-INPUT_FILES = FILES - RunSettings.fields_where(lambda field: option_of(field).is_output)
+INPUT_FILES = {name for name in FILES if RunSettings.stage_of(name) != "outputs"}
 PATHS = RunSettings.fields_where(lambda field: value_type(field) is Path)
 
 

@@ -30,6 +30,7 @@ class RangingOptions(Options):
     """Options of the measurement of distances, and of warnings and events."""
 
     panel: ClassVar = "Ranging"
+    stage: ClassVar = "tracks"
 
     curves: Annotated[
         Path | None,
@@ -75,6 +76,7 @@ class RangingOptions(Options):
         option(
             "Thresholds of the events that override the defaults: fields of EventSettings.",
             is_file_only=True,
+            stage="events",
         ),
     ] = Field(default_factory=dict)
     align: Annotated[
@@ -121,8 +123,8 @@ class RangingOptions(Options):
         _clip_option(
             "Field of view of the lens of a camera without a calibration, as on its box, in degrees "
             "with the side of the image that it is across: 140d diagonal (as on most boxes of "
-            "dashcams), 120h horizontal, 70v vertical. The drive corrects it. (--fov-deg is the view "
-            "to which the images of a wide lens are undistorted.)",
+            "dashcams), 120h horizontal, 70v vertical. The drive corrects it (--fov-deg is the view "
+            "to which the images of a wide lens are undistorted).",
             metavar="DEG",
         ),
     ] = None

@@ -14,6 +14,7 @@ class TruthOptions(Options):
     """Ground truth."""
 
     panel: ClassVar = "Ground truth"
+    stage: ClassVar = "tracks"
 
     truth: Annotated[
         Path | None,

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from track_range.foundation.files.folder_lock import is_locked
 from track_range.foundation.files.input_files import counted, real_path
 from track_range.foundation.files.output_files import OutputError, check_outputs
-from track_range.results.events.event import CLIPS_FOLDER, Event
-from track_range.results.events.files import EVENTS_FILE, EVENTS_PARQUET, write_event_files
+from track_range.results.events.event import CLIPS_FOLDER, Event, with_clip_files
+from track_range.results.events.files import (
+    EVENTS_FILE,
+    EVENTS_PARQUET,
+    EventFileError,
+    read_events,
+    write_event_files,
+)
 from track_range.results.folder import RunFolder, clip_rows, read_run_folder
 from track_range.results.formats.poses_file import read_poses
 from track_range.results.writers import result_names
@@ -97,10 +104,19 @@ def _compare(runs: Sequence[RunFolder], page: Path) -> tuple[tuple[Grid, ...], t
 
 
 def _clips(run: RunFolder) -> Sequence[Path]:
-    """Cut a clip of each event from the overlay of a run; the clips."""
+    """Cut a clip of each event from the overlay of a run, which the events know afterwards; the
+    clips.
+    """
     starts_s = float(run.summary.get("starts_s") or 0.0)
-    folder = run.folder / CLIPS_FOLDER
-    return write_clips(run.folder / "overlay.mp4", run.events, folder, starts_s=starts_s)
+    folder, table = run.folder / CLIPS_FOLDER, run.folder / EVENTS_PARQUET
+    clips = write_clips(run.folder / "overlay.mp4", run.events, folder, starts_s=starts_s)
+    # in full precision; that of a clip of a fleet is elsewhere, and a damaged one stays
+    with suppress(EventFileError):
+        events = read_events(table) if table.is_file() else ()
+        if events:
+            events = with_clip_files(events, {path.name for path in clips})
+            write_event_files(run.folder, events, run.provenance.metadata())
+    return clips
 
 
 def _compared(name: str, run: RunFolder, page_folder: Path) -> ComparedRun:

@@ -4,7 +4,7 @@
     clip              |-----------------------|
                       recoded  copied
 
-A clip starts `BEFORE_S` before its event and ends `AFTER_S` after it. Players can only start at a
+A clip starts 3 s before its event and ends 2 s after it (`clip_interval_s`). Players can only start at a
 keyframe, so the frames before the first keyframe of the clip, at most one second, are encoded again
 with the overlay's settings; all others are copied. If the encoder of another version gives other
 parameter sets, the whole clip is encoded again.
@@ -29,14 +29,11 @@ from track_range.foundation.files.atomic_files import atomic_folder, describe
 from track_range.foundation.files.input_files import check_regular
 from track_range.foundation.files.output_files import OutputError, make_folder
 from track_range.recording.video.frame import VideoError, bgr_image
-from track_range.results.events.event import Event, clip_name, is_clip_name
+from track_range.results.events.event import Event, clip_interval_s, clip_name, is_clip_name
 from track_range.views.videos.result_video import QUANTIZER
 from track_range.views.videos.video_writer import VideoWriter
 
-# time before the start and after the end of an event that its clip shows, s
-BEFORE_S, AFTER_S = 3.0, 2.0
 _TIME_TOLERANCE_S = 1e-3  # of the time of a frame
-MAX_CLIP_S = 30.0  # of a clip; that of a longer event has two thirds before the peak
 
 
 def write_clips(
@@ -66,17 +63,6 @@ def write_clips(
         if cut_clip(overlay, path, start_s - starts_s, end_s - starts_s):
             written.append(path)
     return tuple(written)
-
-
-def clip_interval_s(event: Event) -> tuple[float, float]:
-    """Start and end of an event's clip in seconds from the start of the video; the video may be
-    shorter.
-    """
-    start_s, end_s = event.start_s - BEFORE_S, event.end_s + AFTER_S
-    if end_s - start_s > MAX_CLIP_S:
-        start_s = min(max(event.peak_s - 2 * MAX_CLIP_S / 3, start_s), end_s - MAX_CLIP_S)
-        end_s = start_s + MAX_CLIP_S
-    return start_s, end_s
 
 
 def remove_clips(folder: Path) -> None:

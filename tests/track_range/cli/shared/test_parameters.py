@@ -12,6 +12,7 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.schemas.options import Options, option, option_of
 from track_range.results.formats.provenance import _NOT_HASHED
 from track_range.results.writers import WRITERS, create_writer
+from track_range.run.options.output import OutputOptions
 from track_range.run.options.precedence import settings_from
 from track_range.run.options.settings import RunSettings
 
@@ -168,8 +169,15 @@ def test_every_setting_of_a_run_has_a_help_text():
         assert field.description.endswith("."), name
 
 
-def test_hash_of_the_settings_is_without_those_of_output_files():
-    assert RunSettings.fields_where(lambda field: option_of(field).is_output) == _NOT_HASHED
+def test_every_setting_of_a_run_has_a_stage():
+    stages = {name: RunSettings.stage_of(name) for name in RunSettings.model_fields}
+    assert set(stages.values()) == {"detections", "tracks", "events", "outputs"}
+    assert {name for name, stage in stages.items() if stage == "outputs"} == _NOT_HASHED
+    assert [name for name, stage in stages.items() if stage == "events"] == ["event_options"]
+    # the blur takes more boxes than a detector reports
+    assert stages["anonymize"] == "detections"
+    for name, field in OutputOptions.model_fields.items():
+        assert option_of(field).stage, name  # a wrong default would keep results of other options
 
 
 def test_help_names_the_files_of_all_writers():
@@ -186,14 +194,14 @@ def test_settings_of_clips_and_fleets():
     refused = RunSettings.fields_where(lambda field: option_of(field).instead)
     assert refused == {
         *("stereo", "mono", "truth", "detections", "start_utc", "table", "realtime"),
-        "known_distance",
+        *("known_distance", "overwrite"),
     }
     assert {"rig", "focal_px", "ego_speed", "align"} <= CLIP_SETTINGS
     assert CLIP_SETTINGS.isdisjoint(
         RunSettings.fields_where(lambda field: option_of(field).is_shared)
     )
     assert [name for name in sorted(CLIP_SETTINGS) if is_file_setting(name, "a")] == [
-        *("align", "curves", "detections", "ego_speed", "rig", "truth"),
+        *("align", "curves", "detections", "ego_speed", "rig", "truth", "truth_calib"),
     ]
     assert not any(
         is_file_setting(name, value)

@@ -48,6 +48,17 @@ def test_a_name_is_the_camera_of_all_clips_and_a_placeholder_that_of_each_vehicl
     }
 
 
+def test_the_folder_of_a_clip_names_its_camera(tmp_path):
+    clips = [
+        Clip(f"{van}/{name}", str(tmp_path / van / f"{name}.mp4"))
+        for van, name in (("van-1", "a"), ("van-1", "b"), ("van-2", "a"))
+    ]
+    assert names(clips_by_camera(clips, plan_of("{folder}"))) == {
+        "van-1": ["van-1/a", "van-1/b"],
+        "van-2": ["van-2/a"],
+    }
+
+
 def test_a_dry_run_names_the_cameras_and_counts_the_clips_that_can_be_opened(
     clips, tmp_path, film, capsys
 ):
@@ -77,7 +88,7 @@ def test_clips_with_a_calibration_keep_it(clips, tmp_path):
 
 def test_unknown_placeholders_are_named(clips):
     with pytest.raises(
-        FleetInputError, match=r"--camera .*\{car\} is unknown; expected one of clip, v"
+        FleetInputError, match=r"--camera .*\{car\} is unknown; expected one of clip, folder, v"
     ):
         clips_by_camera(clips, plan_of("{car}"))
 

@@ -6,6 +6,7 @@ import os
 import shutil
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -17,9 +18,10 @@ from tests.track_range.fleet.ray_clusters import OBJECT_STORE_BYTES
 from tests.track_range.fleet.stub_clips import process_stub, stub_clips
 from track_range.fleet.engine import driver, fleet_run, plan
 from track_range.fleet.engine.fleet_run import run_fleet
+from track_range.fleet.engine.remaining import present_fingerprint
 from track_range.fleet.engine.worker import shared_files, with_shared_files
 from track_range.fleet.errors import FleetError
-from track_range.fleet.output.data_set import read_clips
+from track_range.fleet.output.data_set import publish_record, read_clips
 from track_range.fleet.output.state import locked_output, read_state
 from track_range.fleet.settings import FleetSettings
 from track_range.fleet.storage.location import Location
@@ -32,12 +34,12 @@ pytestmark = pytest.mark.slow
 def run(cluster, tmp_path):
     """`run(*names, **settings)` processes stub clips and gives the result and the rows by clip."""
 
-    def process(*names, clips=None, **settings):
+    def process(*names, clips=None, of_runs=None, **settings):
         out = tmp_path / "out"
         chosen = clips or stub_clips(tmp_path / "clips", *names)
         options = {"workers": 2, "worker_memory": "1GB", **settings}
         fleet = FleetSettings(recordings=("x",), out=str(out), address=cluster.address, **options)
-        result = run_fleet(fleet, {}, chosen, process=process_stub)
+        result = run_fleet(fleet, of_runs or {}, chosen, process=process_stub)
         rows = {row["clip"]: row for row in read_clips(Location.of(out)).to_pylist()}
         return result, rows
 
@@ -98,14 +100,28 @@ def test_unchanged_clips_are_skipped(run, tmp_path):
     assert after["a"] == before["a"]
 
 
-def test_changed_clip_is_redone(run, tmp_path):
+def test_changed_clip_is_redone_if_its_result_may_be_replaced(run, tmp_path):
     run("a", "b")
     (tmp_path / "clips" / "a.mp4").write_text("other")
     result, _ = run("a", "b")
-    assert (result.counts.skipped, result.counts.done) == (1, 1)
+    assert (result.counts.skipped, result.counts.done, result.kept) == (2, 0, ["a"])
+    result, _ = run("a", "b", overwrite=True)
+    assert (result.counts.skipped, result.counts.done, result.kept) == (1, 1, [])
     files = list((tmp_path / "out" / "tracks" / "clip=a").iterdir())
     assert len(files) == 1
     assert b"other" in files[0].read_bytes()
+
+
+def test_a_result_stays_complete_if_a_further_file_cannot_be_made(run, tmp_path):
+    (clip,) = stub_clips(tmp_path / "clips", "raise")
+    usual = plan.fleet_plan(FleetSettings(recordings=("x",), out=str(tmp_path / "out")), {})
+    record = replace(usual.record(clip, 1), status="done", inputs=present_fingerprint(clip))
+    publish_record(usual.out, record.row())
+    result, rows = run("raise", of_runs={"overlay": True})
+    assert (rows["raise"]["status"], result.counts.failed) == ("done", 1)
+    assert [name for name, _ in result.failed] == ["raise"]
+    result, _ = run("raise")
+    assert (result.counts.skipped, result.failed) == (1, [])
 
 
 def test_touched_clip_is_not_redone(run, tmp_path):

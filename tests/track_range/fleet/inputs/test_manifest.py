@@ -84,7 +84,7 @@ def test_numbers_and_dates_in_parquet(tmp_path):
 
 def test_labels_with_the_name_of_nearly_a_setting(tmp_path):
     clips = clips_of([write_manifest(tmp_path, "left,focal,vehicle\na.mp4,800,van\n")], None, None)
-    assert label_note(clips).endswith("settings: focal (did you mean focal_px?), vehicle.")
+    assert label_note(clips).endswith(": focal (did you mean focal_px?), vehicle.")
     assert label_note([replace(clips[0], labels={})]) == ""
 
 

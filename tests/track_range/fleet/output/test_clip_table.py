@@ -199,7 +199,7 @@ def test_touched_row_has_the_new_fingerprint(out):
     table = ClipTable(out)
     table.add(record("a", inputs="old", content_hash="c"), is_in_journal=False)
     table.compile()
-    table.touch("a", "new")
+    table.touch("a", {"inputs": "new"})
     table.compile()
     assert [(row["inputs"], row["content_hash"]) for row in read_clips(out).to_pylist()] == [
         ("new", "c")

@@ -49,7 +49,15 @@ def test_sentence_of_a_run(counts, sentence):
 
 
 @pytest.mark.parametrize(
-    ("seconds", "text"), [(94, "94 s"), (180, "3 min"), (12_000, "3 h 20 min")]
+    ("seconds", "text"),
+    [
+        (0, "0 s"),
+        (0.6, "0.6 s"),
+        (0.01, "0.1 s"),
+        (94, "94 s"),
+        (180, "3 min"),
+        (12_000, "3 h 20 min"),
+    ],
 )
 def test_durations(seconds, text):
     assert duration_text(seconds) == text

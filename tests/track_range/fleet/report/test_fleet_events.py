@@ -21,7 +21,7 @@ from track_range.fleet.output.data_set import (
     ClipTable,
     events_location,
     publish,
-    publish_event_videos,
+    publish_files,
     runs_location,
 )
 from track_range.fleet.report.fleet_figures import EventFigures, fleet_figures
@@ -103,7 +103,7 @@ def test_links_lead_to_the_video_of_an_event(out, tmp_path):
     publish(out, runs_location(out, NOON).child("overlay.mp4"), video)
     clip = tmp_path / "01-cut_in-9.mp4"
     clip.write_text("content")
-    publish_event_videos(out, NOON, [clip])
+    publish_files(out, runs_location(out, NOON).child("clips"), [clip])
     page = fleet_page(fleet_figures(out), out, out.child("fleet.html"))
     assert "clips/01-cut_in-9.mp4" in page
     assert "overlay.mp4#t=0.0" in page
@@ -116,7 +116,7 @@ def test_clips_of_an_earlier_result_are_removed(out, tmp_path):
         files = [tmp_path / name for name in names]
         for file in files:
             file.write_text("content")
-        publish_event_videos(out, NOON, files)
+        publish_files(out, runs_location(out, NOON).child("clips"), files)
         assert sorted(path.name for path in folder.iterdir()) == sorted(names)
 
 

@@ -186,6 +186,11 @@ def test_run_writes_clips(small_drive, tmp_path):
     run.write(tmp_path)
     written = sorted(path.name for path in (tmp_path / "clips").iterdir())
     assert written == [clip_name(i + 1, one.kind, one.track_id) for i, one in enumerate(run.events)]
+    assert [one.clip_file for one in run.events] == [f"clips/{name}" for name in written]
+    for name in ("events.csv", "events.parquet"):
+        assert [one.clip_file for one in tr.read_events(tmp_path / name)] == [
+            f"clips/{name}" for name in written
+        ]
     assert frames_of(tmp_path / "clips" / written[0])[2] == pytest.approx(1.2, abs=0.01)
     assert (tmp_path / "report.html").read_text().count('href="clips/') == len(written)
 
@@ -198,6 +203,9 @@ def test_report_cuts_clips(overlay, tmp_path):
         "01-forward_collision-7.mp4"
     ]
     assert 'href="clips/01-forward_collision-7.mp4"' in (run / "report.html").read_text()
+    for name in ("events.csv", "events.parquet"):
+        (one,) = tr.read_events(run / name)
+        assert (one.clip_file, one.start_s) == ("clips/01-forward_collision-7.mp4", 0.2)
     report([run], tmp_path / "elsewhere.html")
     assert (
         'href="run/clips/01-forward_collision-7.mp4"' in (tmp_path / "elsewhere.html").read_text()

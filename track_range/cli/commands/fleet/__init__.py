@@ -22,6 +22,20 @@ app = lazy_app(
             "Show the progress of a fleet, during and after a run.",
             examples=("track-range fleet status results",),
         ),
+        "events": Lazy(
+            "track_range.cli.commands.fleet.events",
+            "List the events of a fleet that meet a condition, and copy their videos.",
+            "The condition compares columns of events.csv and labels of the clips with texts and "
+            "numbers: ==, !=, <, <=, >, >=, in (...), is None, and, or, not. An unknown value "
+            "meets no comparison. Kinds: forward_collision, close_following, hard_approach, "
+            "cut_in, pedestrian_on_path, near_miss; cut-in is understood.",
+            (
+                "track-range fleet events results 'kind == \"cut-in\" and min_ttc_s < 2' \\\n"
+                "      --clips cut-ins",
+                "track-range fleet events results 'class == \"car\" and warning_s is not None' \\\n"
+                "      --json events.json",
+            ),
+        ),
         "report": Lazy(
             "track_range.cli.commands.fleet.report",
             "Print the figures of all clips of a fleet, and write them as one HTML page.",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from inspect import Parameter
 from typing import TYPE_CHECKING, Any
@@ -31,7 +32,7 @@ def _fleet_run(**values: Any) -> None:
     from track_range.fleet.engine.plan import common_options
     from track_range.fleet.errors import ClipsFailedError
     from track_range.fleet.inputs.listing import clips_of, label_note
-    from track_range.foundation.files.input_files import printable, shortened
+    from track_range.foundation.files.input_files import counted, printable, shortened
 
     settings = FleetSettings.of(given_values(FleetSettings, values))
     options = {
@@ -51,6 +52,10 @@ def _fleet_run(**values: Any) -> None:
     result = run_fleet(settings, options, clips, console=console)
     counts = result.counts
     print_line(console, counts.sentence(), f"Results in {settings.out}")
+    if result.kept:
+        named = shortened(", ".join(result.kept), 200)
+        kept = f"{counted(len(result.kept), 'clip')} with changed files: {named}"
+        print_notes(console, [f"Earlier results remain of {kept}; --overwrite replaces them."])
     if result.failed:
         print_line(
             console,
@@ -71,7 +76,7 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
     """Print what would be processed, with the problems in the headers; ClipsFailedError if there
     are some.
     """
-    from track_range.cli.shared.console import console, print_line
+    from track_range.cli.shared.console import console, print_line, print_notes
     from track_range.fleet.engine.cameras import with_cameras
     from track_range.fleet.engine.plan import fleet_plan
     from track_range.fleet.engine.remaining import remaining, work_text
@@ -80,15 +85,16 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
     from track_range.fleet.output.data_set import ClipTable
     from track_range.fleet.output.state import duration_text
     from track_range.fleet.storage.location import Location
-    from track_range.foundation.files.input_files import printable
+    from track_range.foundation.files.input_files import counted, printable
 
     plan = fleet_plan(settings, options)
     clips = with_cameras(clips, plan, console)
     table = ClipTable(Location.of(settings.out))
     todo, n_complete, n_failed = remaining(
-        clips, table, plan.settings_hash, is_failed_repeated=settings.retry_failed
+        clips, table, plan.keys, is_failed_repeated=settings.retry_failed
     )
     problems: list[tuple[str, str]] = []
+    notes: Counter[str] = Counter()  # each is printed once
     seconds = 0.0
     checked_settings = {
         key: options[key] for key in ("focal_px", "fps", "stereo_layout") if key in options
@@ -104,9 +110,11 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
         line += "" if checked.fps is None else f" at {checked.fps:.3g} Hz"
         line += "" if checked.duration_s is None else f", {duration_text(checked.duration_s)}"
         line += f", calibration: {checked.calibration}" if checked.calibration else ""
-        texts = (f"  - {printable(text)}" for text in (*checked.problems, *checked.notes))
+        texts = (f"  - {printable(text)}" for text in checked.problems)
         print_line(console, printable(line), *texts)
+        notes.update(checked.notes)
         problems += [(checked.clip.name, problem) for problem in checked.problems[:1]]
+    print_notes(console, (f"{note} ({counted(n, 'clip')})" for note, n in notes.items()))
     print_line(
         console,
         f"{work_text(todo, n_complete)}, {n_failed} failed before; {duration_text(seconds)} of "
