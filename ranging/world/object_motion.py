@@ -48,7 +48,7 @@ MotionState = Literal["parked", "moving", "oncoming", "crossing"]
 MOTION_STATES: tuple[MotionState, ...] = get_args(MotionState)
 _PARKED = 0
 # f, as in the collision warning: errors of filtered rates last longer than the filter assumes
-_RATE_FACTOR = 2.0
+RATE_FACTOR = 2.0
 # (road classes,) c of vehicles and of people
 _CROSSING_OF_CLASS = np.array([0.5 if name == "person" else 0.1 for name in ROAD_CLASSES])
 _STOPPED = 0.1  # r
@@ -141,7 +141,7 @@ def over_ground(
     yaw_rad_s = ego.yaw_rad_s if math.isfinite(ego.yaw_rad_s) else 0.0
     s2 = np.maximum(motion.ranges.sigma_m**2 - motion.state.P_xx, 0.0) / d**2
     u, right = v + V - yaw_rad_s * x.x, x.v
-    B = _RATE_FACTOR * x.P_vv + s2 * (right - ego.right_mps) ** 2 + ego.right_sigma_mps**2
+    B = RATE_FACTOR * x.P_vv + s2 * (right - ego.right_mps) ** 2 + ego.right_sigma_mps**2
 
     # Moments of u where the object moves along the axis.
     static = np.zeros_like(v) if motion.static is None else motion.static

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from numbers import Real
 from typing import ClassVar
 
@@ -41,8 +42,10 @@ _LIMITS = {
     "x_m": (-30.0, 30.0),
     "y_m": (-5.0, 5.0),
     "z_m": (0.2, 5.0),
+    "front_m": (-30.0, 30.0),
     "sigma_deg": (0.0, 90.0),
 }
+_MAY_BE_UNKNOWN = ("z_m", "front_m")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,15 +72,22 @@ class Mounting:
     x_m: float = 0.0  # of the camera, forward of the vehicle's reference point
     y_m: float = 0.0  # the same to the left
     z_m: float | None = None  # height of the camera above the road; None = unknown
+    # of the front of the vehicle, forward of the reference point; None = unknown
+    front_m: float | None = None
     sigma_deg: float = 2.0  # standard deviation of each angle; by default that of a sketch
 
     def __post_init__(self) -> None:
         for name, (low, high) in _LIMITS.items():
             value = getattr(self, name)
-            is_unknown = value is None and name == "z_m"
+            is_unknown = value is None and name in _MAY_BE_UNKNOWN
             is_number = isinstance(value, Real) and not isinstance(value, bool)
             if not is_unknown and not (is_number and low <= value <= high):
                 raise ValueError(f"expected {_key(name)} from {low:g} to {high:g}, found {value!r}")
+        if self.front_m is not None and self.front_m < self.x_m:
+            raise ValueError(
+                f"expected front, that of the vehicle, at least at x of the camera, {self.x_m:g}, "
+                f"found {self.front_m:g}"
+            )
 
     @classmethod
     def of(cls, texts: Iterable[str]) -> Mounting:
@@ -107,11 +117,23 @@ class Mounting:
         )
 
     @property
+    def place_m(self) -> FloatArray:
+        """(3,) place of the camera in the axes of the vehicle; z is NaN if it is unknown."""
+        return np.array([self.x_m, self.y_m, math.nan if self.z_m is None else self.z_m])
+
+    @property
+    def bumper_m(self) -> float | None:
+        """Distance along x from the camera to the front of the vehicle; None = unknown."""
+        return None if self.front_m is None else self.front_m - self.x_m
+
+    def in_vehicle(self, points_m: FloatArray) -> FloatArray:
+        """(N, 3) points in the axes of the vehicle, from those of the camera (N, 3)."""
+        return np.asarray(points_m @ self.vehicle_from_camera.T + self.place_m)
+
+    @property
     def vehicle_from_camera(self) -> FloatArray:
         """(3, 3) rotation from the axes of the camera to those of the vehicle."""
-        angles_deg = self.yaw_deg, self.pitch_deg, self.roll_deg
-        turn = Rotation.from_euler("ZYX", angles_deg, degrees=True)
-        return np.asarray(turn.as_matrix() @ _LEVEL)
+        return _rotation(self.yaw_deg, self.pitch_deg, self.roll_deg)
 
     @property
     def travel_from_camera(self) -> FloatArray:
@@ -153,6 +175,14 @@ class Mounting:
 def looks_ahead(mounting: Mounting | None) -> bool:
     """Whether a camera looks along the drive; one whose mounting is not known is taken to."""
     return mounting is None or mounting.is_ahead
+
+
+@lru_cache(maxsize=64)  # of few cameras, for each frame
+def _rotation(yaw_deg: float, pitch_deg: float, roll_deg: float) -> FloatArray:
+    turn = Rotation.from_euler("ZYX", (yaw_deg, pitch_deg, roll_deg), degrees=True)
+    matrix = np.asarray(turn.as_matrix() @ _LEVEL)
+    matrix.setflags(write=False)
+    return matrix
 
 
 def _key(name: str) -> str:

@@ -88,13 +88,14 @@ def test_parts_of_a_text():
 @pytest.mark.parametrize(
     ("parts", "word"),
     [
-        (["jaw=3"], "yaw, pitch, roll, x, y, z, sigma"),
+        (["jaw=3"], "yaw, pitch, roll, x, y, z, front, sigma"),
         (["yaw"], "number after yaw"),
         (["yaw=left"], "'left'"),
         (["yaw=1", "yaw=2"], "twice"),
         (["yaw=200"], "-180 to 180"),
         (["yaw=nan"], "nan"),
         (["z=20"], "0.2 to 5"),
+        (["x=2,front=1.5"], "front.*at least at x of the camera, 2, found 1.5"),
     ],
 )
 def test_unusable_parts_are_named(parts, word):

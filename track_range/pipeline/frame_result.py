@@ -3,7 +3,7 @@ object.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,9 +23,48 @@ from track_range.ranging.warning.safety import SafetyMeasures
 from track_range.ranging.warning.warnings import Warnings
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
+from track_range.ranging.world.placement import PointStates, point_covariance
 from track_range.stereo.geometry.frames import Frame, ImageView
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.tracks import Tracks
+
+_NAN3 = (math.nan, math.nan, math.nan)
+Vector3 = tuple[float, float, float]
+Matrix3 = tuple[Vector3, Vector3, Vector3]
+"""Vectors and matrices of `TrackedObject`, in the order of the axes."""
+
+
+@dataclass(frozen=True, slots=True)
+class PointState:
+    """Position of a road user and its velocity relative to the camera, in one set of axes; NaN =
+    unknown.
+
+    Attributes:
+        position_m: the point on the ray through the middle of the box, at the filtered distance.
+        covariance_m2: (3, 3) of the position, row by row.
+        velocity_mps: change of the position per second. The speed along the camera's y axis, which
+            no filter has, is taken to be 0.
+        velocity_covariance_m2ps2: (3, 3) of the velocity.
+    """
+
+    position_m: Vector3 = _NAN3
+    covariance_m2: Matrix3 = (_NAN3, _NAN3, _NAN3)
+    velocity_mps: Vector3 = _NAN3
+    velocity_covariance_m2ps2: Matrix3 = (_NAN3, _NAN3, _NAN3)
+
+
+def _point_states(states: PointStates) -> Iterable[PointState]:
+    """The states one by one."""
+    return (
+        PointState(tuple(p), tuple(map(tuple, P)), tuple(v), tuple(map(tuple, V)))
+        for p, P, v, V in zip(
+            states.position_m.tolist(),
+            states.covariance_m2.tolist(),
+            states.velocity_mps.tolist(),
+            states.velocity_covariance_m2ps2.tolist(),
+            strict=True,
+        )
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +93,20 @@ class TrackedObject:
         x_sigma_m: standard deviation of x of `position_m`: by the distance, the box and the
             principal point.
         y_sigma_m: the same of y.
+        in_camera: position at the filtered distance, in frames without a measurement too, and
+            relative velocity, with covariances, in the axes of the left camera.
+        in_vehicle: the same in the axes of the vehicle (x forward, y left, z up, as ROS's REP 103),
+            from its reference point; NaN without a `mount`, z also without its height.
+        covariance_m2: (3, 3) covariance of `position_m`, row by row.
+        closing_sigma_mps: standard deviation of `closing_mps`.
+        ttc_sigma_s: standard deviation of `ttc_s`.
+        speed_sigma_mps: standard deviation of `speed_mps`.
+        gap_m: distance from the front of the ego vehicle; NaN without warnings.
+        size_m: typical length, width and height of its class in the region, not measured.
+        size_sigma_m: their standard deviations within the class.
+        score: confidence of the detection, 0 to 1; it decays while the box is predicted.
+        age_s: time since the first frame of the track.
+        unobserved_s: time since its last detection; 0 = in this frame.
     """
 
     id: int
@@ -72,6 +125,18 @@ class TrackedObject:
     x_sigma_m: float = math.nan
     y_sigma_m: float = math.nan
     state_probability: float = math.nan
+    in_camera: PointState = field(default_factory=PointState, repr=False)
+    in_vehicle: PointState = field(default_factory=PointState, repr=False)
+    covariance_m2: Matrix3 = field(default=(_NAN3, _NAN3, _NAN3), repr=False)
+    closing_sigma_mps: float = math.nan
+    ttc_sigma_s: float = math.nan
+    speed_sigma_mps: float = math.nan
+    gap_m: float = math.nan
+    size_m: Vector3 = _NAN3
+    size_sigma_m: Vector3 = _NAN3
+    score: float = math.nan
+    age_s: float = math.nan
+    unobserved_s: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,8 +220,44 @@ class FrameResult:
             *(filtered.distance_m.tolist(), filtered.sigma_m.tolist()),
             *self.world.xy_sigma_m.T.tolist(),
             motion.state_probability.tolist(),
+            *self._robot_columns(fused),
         )
         return tuple(map(TrackedObject, *columns))
+
+    def _robot_columns(self, fused: Ranges) -> Iterator[Iterable[object]]:
+        """Values of `TrackedObject` from `in_camera` on, each for all tracks."""
+        placement = self.world.placement
+        in_camera = self.in_camera
+        yield _point_states(in_camera)
+        yield _point_states(in_camera.turned(placement.mounting))
+        covariance_m2 = point_covariance(self.xyz_m, self.world.xy_sigma_m, fused.sigma_m)
+        yield (tuple(map(tuple, one)) for one in covariance_m2.tolist())
+        yield self.closing_sigma_mps.tolist()
+        yield self.ttc_sigma_s.tolist()
+        yield self.motion.speed_sigma_mps.tolist()
+        yield self.safety.gap_m.tolist()
+        sizes = placement.sizes_of(self.tracks.class_id)
+        yield map(tuple, sizes.lwh_m.tolist())
+        yield map(tuple, sizes.sigma_m.tolist())
+        yield self.tracks.score.tolist()
+        yield placement.age_s.tolist()
+        yield placement.unobserved_s.tolist()
+
+    @property
+    def in_camera(self) -> PointStates:
+        """Positions at the filtered distances and relative velocities with covariances, in the axes
+        of the left camera (right, down, forward).
+        """
+        filtered = self.ranges.get("fused_kf") or Ranges.unmeasured(self.tracks.track_id)
+        rate = -self.closing_mps, self.closing_sigma_mps
+        return self.world.placement.in_camera(filtered.sigma_m, rate)
+
+    @property
+    def in_vehicle(self) -> PointStates:
+        """The same in the axes of the vehicle (forward, left, up); NaN if the mounting of the camera
+        is unknown.
+        """
+        return self.in_camera.turned(self.world.placement.mounting)
 
     @property
     def closing_mps(self) -> FloatArray:

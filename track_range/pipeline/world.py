@@ -10,9 +10,11 @@ from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.filtering import Filtered
 from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
 from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.size_models.class_sizes import ClassSizes
 from track_range.ranging.size_models.size_model import BoxNoise
 from track_range.ranging.world.ego_path import EgoPath, EgoPose
 from track_range.ranging.world.object_motion import ObjectMotion, ObjectMotions
+from track_range.ranging.world.placement import Placement, Placements
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.mounting import Mounting, looks_ahead
 from track_range.stereo.odometry.ego_motion import EgoMotion
@@ -29,12 +31,19 @@ class World:
     xy_sigma_m: FloatArray  # (N, 2) standard deviations of its x and y; that of z is the distance's
     motion: ObjectMotion  # over ground, and positions in the frame `map`
     ego_pose: EgoPose  # of the left camera in the frame `map`
+    placement: Placement  # at the filtered distances, relative to the camera and to the vehicle
 
     @classmethod
     def unknown(cls, n: int) -> "World":
         """The world of n tracks whose distances are unknown."""
         nan = np.nan
-        return cls(np.full((n, 3), nan), np.full((n, 2), nan), ObjectMotion.unknown(n), EgoPose())
+        return cls(
+            np.full((n, 3), nan),
+            np.full((n, 2), nan),
+            ObjectMotion.unknown(n),
+            EgoPose(),
+            Placement.unknown(n),
+        )
 
 
 class WorldStage:
@@ -46,14 +55,17 @@ class WorldStage:
         *,
         centre_sigma_px: float = 0.0,
         mounting: Mounting | None = None,
+        sizes: ClassSizes | None = None,
     ) -> None:
         """`centre_sigma_px` is the standard deviation of the camera's principal point; with a
-        `mounting`, states of motion are relative to the drive.
+        `mounting`, states of motion are relative to the drive, and positions in the vehicle are
+        known; `sizes` are those of the classes.
         """
         self._camera, self._centre_sigma_px = camera, centre_sigma_px
         self._is_ahead = looks_ahead(mounting)
         axis_deg = 0.0 if mounting is None else mounting.yaw_deg
         self._path, self._motions = EgoPath(), ObjectMotions(math.radians(axis_deg))
+        self._placements = Placements(mounting, sizes)
 
     def update(
         self,
@@ -86,7 +98,17 @@ class WorldStage:
         distance_m, sigma_m = fused.distance_m[:, None], fused.sigma_m[:, None]
         direction = self._direction_sigma(tracks, camera)
         xy_sigma_m = np.hypot(rays[:, :2] * sigma_m, direction * distance_m)
-        return World(rays * distance_m, xy_sigma_m, motion, pose)
+        placement = self._placements.update(
+            tracks.track_id,
+            tracks.observed,
+            time_s,
+            rays=rays,
+            direction_sigma=direction,
+            filtered=ranges["fused_kf"],
+            lateral=lateral,
+            ego=ego,
+        )
+        return World(rays * distance_m, xy_sigma_m, motion, pose, placement)
 
     def _direction_sigma(self, tracks: Tracks, camera: PinholeCamera) -> FloatArray:
         """(N, 2) standard deviations of x and y of the rays through the middles of the boxes."""

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel
+from pydantic import BaseModel, field_validator
 
 from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.foundation.arrays import BoolArray
@@ -50,6 +50,7 @@ from track_range.results.summary import (
 )
 from track_range.results.summary_shape import valid_summary
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.geometry.rig_checks import ImageSide
 from track_range.stereo.rig_formats.reading import left_from_reference_m
@@ -104,6 +105,18 @@ class DetectedCamera(BaseModel):
     focal_px: PositiveNumber
     focal_y_px: PositiveNumber | None = None
     rig: Path | None = None
+    mount: tuple[str, ...] = ()  # of the view in its vehicle; empty = unknown
+
+    @field_validator("mount")
+    @classmethod
+    def _is_mounting(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        if value:
+            Mounting.of(value)
+        return value
+
+    def mounting(self) -> Mounting | None:
+        """Where the view is in the vehicle, and where it looks; None = unknown."""
+        return Mounting.of(self.mount) if self.mount else None
 
     def camera(self) -> PinholeCamera:
         """Left camera of the run."""

@@ -4,6 +4,7 @@ run.
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Set
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from track_range.ranging.warning.safety import SafetyMeasures
 from track_range.ranging.warning.warnings import Warnings
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import ObjectMotion
+from track_range.ranging.world.placement import Placement
 from track_range.results.formats.poses_file import Poses
 from track_range.results.rows.columns import methods_with_sigma
 from track_range.results.rows.rows import Rows
@@ -52,7 +54,7 @@ def frames_of_rows(
 
 PARTS = (
     *("tracks", "frame", "ego", "approach"),
-    *("world.motion", "alarms.warnings", "alarms.safety"),
+    *("world.motion", "world.placement", "alarms.warnings", "alarms.safety"),
 )
 """Places in a `FrameResult` of the parts that are made from columns; distances and positions are made
 besides."""
@@ -127,6 +129,7 @@ class _Frames:
                 self._xy_sigma_m[rows],
                 ObjectMotion(**parts["world.motion"]),
                 pose,
+                replace(Placement.unknown(last - first), **parts["world.placement"]),
             ),
             alarms=Alarms(warnings, safety, self._has_warnings, self._has_safety),
             ego=EgoMotion(**ego),

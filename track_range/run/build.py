@@ -32,9 +32,11 @@ from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.methods.lane_width import usual_width
 from track_range.ranging.methods.method import MethodContext
 from track_range.ranging.registry import create_rangers, methods
+from track_range.ranging.size_models.class_sizes import ClassSizes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.region import Region
 from track_range.ranging.warning.collision_warning import CollisionWarning
+from track_range.ranging.warning.settings import WarningSettings
 from track_range.recording.cameras.calibration import LensView, RecordingCalibration, calibration_of
 from track_range.recording.recording import Recording, open_recording
 from track_range.run.box_source import BoxSource, boxes_of
@@ -123,7 +125,7 @@ def open_pipeline(
         background=background,
     )
     of_scene = partial(
-        _stages_of_scene, settings, camera, tracker or tracker_options, ego_of, is_ahead=is_ahead
+        _stages_of_scene, settings, camera, tracker or tracker_options, ego_of, mounting=mounting
     )
     first_tracker, ego, alarming = of_scene()
     check = _scale_check(context, priors, calibration, settings.lane_width_m, background)
@@ -147,7 +149,8 @@ def open_pipeline(
         world=WorldStage(
             camera,
             centre_sigma_px=calibration.centre_sigma_px,
-            mounting=mounting,
+            mounting=_at_height(mounting, used_m),
+            sizes=ClassSizes.of(context.size_model),
         ),
         alarming=alarming,
         setup_notes=(
@@ -165,14 +168,32 @@ def _stages_of_scene(
     tracker: ObjectTracker | TrackerOptions,
     ego_of: Callable[[BackgroundFlow], EgoStage],
     *,
-    is_ahead: bool,
+    mounting: Mounting | None,
 ) -> tuple[ObjectTracker, EgoStage, AlarmStage]:
     """The stages that start again with another scene; a `tracker` that is given goes on."""
     flow = BackgroundFlow()
     if isinstance(tracker, TrackerOptions):
         tracker = create_tracker(settings.tracker, replace(tracker, flow=flow))
-    warning = CollisionWarning(settings.warning_settings) if is_ahead else None
+    warning = None
+    if looks_ahead(mounting):
+        warning = CollisionWarning(_from_bumper(settings, mounting))
     return tracker, ego_of(flow), AlarmStage(camera, warning)
+
+
+def _from_bumper(settings: PipelineOptions, mounting: Mounting | None) -> WarningSettings:
+    """The settings of the warning, with the front of the vehicle as the mounting has it; a
+    `front_m` that is given is that of the user.
+    """
+    chosen = settings.warning_settings
+    bumper_m = None if mounting is None else mounting.bumper_m
+    if bumper_m is None or "front_m" in settings.warning_options:
+        return chosen
+    return replace(chosen, front_m=bumper_m)
+
+
+def _at_height(mounting: Mounting | None, height_m: float | None) -> Mounting | None:
+    """The mounting at the height of the camera above the road that is in use."""
+    return None if mounting is None else replace(mounting, z_m=height_m)
 
 
 def _method_context(

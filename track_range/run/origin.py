@@ -18,6 +18,7 @@ from track_range.run.options.paths import files_by_setting, input_files
 from track_range.run.options.settings_file import absolute_settings
 from track_range.run.reports.input_hashes import InputHashes
 from track_range.run.reports.report import Reports
+from track_range.stereo.geometry.mounting import Mounting
 
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
 _INPUTS = ("left", "right", "mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
@@ -57,6 +58,12 @@ class Origin(Reports):
         return Provenance.of_inputs(self.detected(), hashed)
 
     @property
+    def _mounting(self) -> Mounting | None:
+        """Where the view is in the vehicle, and where it looks; None = unknown."""
+        opened = self.opened
+        return opened.recording.calibration.view_mounting(opened.settings.mounting)
+
+    @property
     def inputs(self) -> dict[str, Any]:
         """Names of the inputs, for summary.json."""
         settings = self.opened.settings
@@ -80,6 +87,7 @@ class Origin(Reports):
             "principal_point_px": [camera.cx_px, camera.cy_px],
             "baseline_m": recording.calibrated_rig.baseline_m if recording.calibrated_rig else None,
             "image_size_px": list(recording.size_px),
+            "mount": [] if (mounting := self._mounting) is None else list(mounting.parts),
             "fps": recording.fps,
             "utc": None if recording.utc is None else recording.utc.summary(),
             "versions": _versions(),
@@ -96,6 +104,7 @@ class Origin(Reports):
             start_utc_s=None if recording.utc is None else recording.utc.start_s,
             provenance=self.provenance,
             notes=tuple(notes),
+            mounting=self._mounting,
             overlay=overlay,
             recorded_boxes=recording.calibration.rectifier.recorded_boxes,
         )

@@ -24,6 +24,7 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 from pyarrow import parquet
+from scipy.spatial.transform import Rotation
 
 import track_range as tr
 from tests.support.file_size_limit import file_size_limit
@@ -40,6 +41,7 @@ from track_range.results.table import RunTable
 from track_range.results.writers import OpenWriters, create_writers
 from track_range.run.export.export import ExportSettings, export
 from track_range.run.options.precedence import settings_from
+from track_range.stereo.geometry.mounting import Mounting
 
 
 def write(folder: Path, about: RunInfo, n_frames: int = 4) -> Path:
@@ -126,6 +128,28 @@ def test_foxglove_calibration_and_transform(foxglove: dict[str, Any]) -> None:
     assert (transform.parent_frame_id, transform.child_frame_id) == ("vehicle", "camera")
     rotation = transform.rotation
     assert (rotation.x, rotation.y, rotation.z, rotation.w) == VEHICLE_FROM_CAMERA_XYZW
+
+
+def test_transforms_with_a_mounting(tmp_path: Path) -> None:
+    """The camera is where its pose says, at its place in a vehicle that drives where it drives."""
+    mounting = Mounting(yaw_deg=30.0, pitch_deg=4.0, x_m=1.5, y_m=-0.4, z_m=1.3)
+    file = write(tmp_path, info(start_utc_s=START_S, mounting=mounting), 1)
+    vehicle, camera = messages(file)["/tf"][0][2].transforms
+    pose = frame(0).ego_pose
+    assert (camera.translation.x, camera.translation.y, camera.translation.z) == (1.5, -0.4, 1.3)
+    turn = rotation(vehicle.rotation)
+    heading_rad = np.arctan2(turn[1, 0], turn[0, 0])
+    assert heading_rad == pytest.approx(pose.heading_rad - np.radians(30.0))
+    place_m = turn @ [1.5, -0.4, 1.3] + [vehicle.translation.x, vehicle.translation.y, 0.0]
+    np.testing.assert_allclose(place_m, [pose.x_m, pose.y_m, 1.3], atol=1e-9)
+    axis = turn @ rotation(camera.rotation) @ [0.0, 0.0, 1.0]
+    assert np.arctan2(axis[1], axis[0]) == pytest.approx(pose.heading_rad)
+    assert axis[2] == pytest.approx(-np.sin(np.radians(4.0)))
+
+
+def rotation(quaternion: Any) -> Any:
+    parts = [getattr(quaternion, name) for name in "xyzw"]
+    return Rotation.from_quat(parts).as_matrix()
 
 
 def test_vehicle_axes() -> None:

@@ -26,7 +26,8 @@ CONTRACT = (
     "ego_mps,contact_probability,warning,path_offset_m,stereo_surfaces,stereo_probability,"
     "speed_mps,speed_sigma_mps,heading_deg,world_x_m,world_y_m,state,"
     "gap_m,ttc_front_s,headway_s,drac_mps2,mdrac_mps2,tet_s,tit_s2,lane_index,lane_index_sigma,is_lead,"
-    "expansion_ttc_s,expansion_ttc_sigma_s,state_probability"
+    "expansion_ttc_s,expansion_ttc_sigma_s,state_probability,"
+    "lateral_mps,lateral_sigma_mps,vehicle_x_m,vehicle_y_m,vehicle_z_m"
 ).split(",")
 
 
@@ -45,8 +46,9 @@ def test_fixed_columns():
 def test_sigmas_follow_their_values():
     names = column_names()
     sigmas = [name for name in names if "_sigma_" in name]
-    # of nine distances, x and y, closing speed, two times to collision, and speed over ground
-    assert len(sigmas) == 15
+    # of nine distances, x and y, closing and lateral speed, two times to collision, and speed over
+    # ground
+    assert len(sigmas) == 16
     assert [names[names.index(sigma) - 1] for sigma in sigmas] == [
         sigma.replace("_sigma", "") for sigma in sigmas
     ]

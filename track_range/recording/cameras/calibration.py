@@ -173,6 +173,9 @@ class RecordingCalibration:
             "pitch_deg": round(mounting.pitch_deg, 2),
             "roll_deg": round(mounting.roll_deg, 2),
             "sigma_deg": round(mounting.sigma_deg, 2) if is_known else None,
+            **({"x_m": mounting.x_m, "y_m": mounting.y_m} if is_known else {}),
+            **({"z_m": mounting.z_m} if mounting.z_m is not None else {}),
+            **({"front_m": mounting.front_m} if mounting.front_m is not None else {}),
             "source": "given" if given else self.mounting_source if is_known else "assumed",
         }
 

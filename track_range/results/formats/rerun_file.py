@@ -33,8 +33,8 @@ from track_range.results.formats.run_info import RunInfo
 from track_range.results.formats.scene import (
     TrackObject,
     check_extra,
-    map_from_vehicle,
     track_objects,
+    transforms,
 )
 from track_range.results.rows.columns import viewer_columns
 
@@ -150,7 +150,8 @@ class RerunWriter:
 
         if not math.isfinite(pose.x_m):
             return
-        at_m, xyzw = map_from_vehicle(pose)
+        vehicle, _ = transforms(pose, self._info.mounting)
+        at_m, xyzw = vehicle.at_m, vehicle.xyzw
         self._path.append(at_m)
         self._recording.log(
             _VEHICLE, rr.Transform3D(translation=at_m, quaternion=rr.Quaternion(xyzw=xyzw))

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from track_range.foundation.arrays import FloatArray, Image
     from track_range.pipeline.frame_result import FrameResult
     from track_range.stereo.geometry.camera import PinholeCamera
+    from track_range.stereo.geometry.mounting import Mounting
     from track_range.stereo.geometry.rig import StereoRig
 
 
@@ -33,6 +34,7 @@ class RunInfo:
     start_utc_s: float | None = None  # UTC of time_s = 0, in seconds since 1970; None = unknown
     provenance: Provenance = field(default_factory=Provenance)
     notes: tuple[str, ...] = ()  # messages for the user before the first frame
+    mounting: Mounting | None = None  # of the camera in its vehicle; None = unknown
     # annotated video of the run, finished before `close`; None = not written
     overlay: Path | None = None
     shown_image: Callable[[FrameResult], Image | None] = lambda result: (

@@ -8,8 +8,10 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import import_module
+from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.errors import UserError
@@ -20,12 +22,14 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.results.rows.column import ResultColumn
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.mounting import Mounting
 
 CAMERA_FRAME, VEHICLE_FRAME, MAP_FRAME = "camera", "vehicle", "map"
-"""Coordinate frames: camera (x right, y down, z forward), vehicle at the same place (x forward, y
-left, z up), and the world of `EgoPose`, in which the vehicle moves."""
+"""Coordinate frames: camera (x right, y down, z forward), vehicle (x forward, y left, z up; at the
+place of the camera if its mounting is unknown), and the world of `EgoPose`, in which the vehicle
+moves."""
 
-# quaternion that rotates vectors from camera to vehicle
+# quaternion that rotates vectors from camera to vehicle, of a camera that looks along x
 VEHICLE_FROM_CAMERA_XYZW = (-0.5, 0.5, -0.5, 0.5)
 LENGTH_M = dict(zip(ROAD_CLASSES, (0.5, 1.7, 4.2, 2.1, 11.0, 8.0, 0.3, 0.1), strict=True))
 """Nominal length of each class, m, since an image shows only width and height; typical sizes."""
@@ -103,16 +107,41 @@ def track_objects(
         )
 
 
-def map_from_vehicle(
-    pose: EgoPose | None,
-) -> tuple[tuple[float, float, float], tuple[float, float, float, float]]:
-    """Translation in m and unit quaternion x, y, z, w of the vehicle in the frame `map`; at its
-    origin if unknown.
+class Transform(NamedTuple):
+    """A coordinate frame in another one."""
+
+    parent: str
+    child: str
+    at_m: tuple[float, float, float]  # its origin in the parent
+    xyzw: tuple[float, float, float, float]  # quaternion that rotates vectors to the parent
+
+
+def transforms(pose: EgoPose | None, mounting: Mounting | None) -> tuple[Transform, Transform]:
+    """The vehicle in the frame `map`, at its origin if the pose of the camera is unknown, and the
+    camera in the vehicle, at its place without a mounting.
+
+    `pose` is that of the camera. The vehicle is on the plane z = 0, and so is a camera whose height
+    is not known.
     """
-    if pose is None or not math.isfinite(pose.x_m):
-        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
-    half_rad = pose.heading_rad / 2
-    return (pose.x_m, pose.y_m, 0.0), (0.0, 0.0, math.sin(half_rad), math.cos(half_rad))
+    x_m = y_m = heading_rad = 0.0
+    if pose is not None and math.isfinite(pose.x_m):
+        x_m, y_m, heading_rad = pose.x_m, pose.y_m, pose.heading_rad
+    at_m, xyzw = (0.0, 0.0, 0.0), VEHICLE_FROM_CAMERA_XYZW
+    if mounting is not None:
+        right_x, right_y, right_z, right_w = Rotation.from_matrix(
+            mounting.vehicle_from_camera
+        ).as_quat()
+        xyzw = float(right_x), float(right_y), float(right_z), float(right_w)
+        at_m = mounting.x_m, mounting.y_m, mounting.z_m or 0.0
+        heading_rad -= math.radians(mounting.yaw_deg)
+        c, s = math.cos(heading_rad), math.sin(heading_rad)
+        x_m, y_m = x_m - c * at_m[0] + s * at_m[1], y_m - s * at_m[0] - c * at_m[1]
+    half_rad = heading_rad / 2
+    turn = 0.0, 0.0, math.sin(half_rad), math.cos(half_rad)
+    return (
+        Transform(MAP_FRAME, VEHICLE_FRAME, (x_m, y_m, 0.0), turn),
+        Transform(VEHICLE_FRAME, CAMERA_FRAME, at_m, xyzw),
+    )
 
 
 class ExtraError(UserError):

@@ -250,6 +250,30 @@ _LATER = (  # that were added after all others: readers by position keep their c
         "probability that `state` is right, 0.5 to 1",
         decimals=4,
     ),
+    ResultColumn(
+        "lateral_mps",
+        "m/s",
+        "world.placement.lateral_mps",
+        "change of the position to the right of the camera per second, beside `closing_mps`; it "
+        "contains the turn of the camera",
+    ),
+    ResultColumn("lateral_sigma_mps", "m/s", "world.placement.lateral_sigma_mps", _SIGMA),
+    ResultColumn(
+        "vehicle_x_m",
+        "m",
+        "world.placement.vehicle_m.0",
+        "x (forward) of the object in the axes of the [vehicle], at the filtered distance; empty "
+        "without a mounting",
+    ),
+    ResultColumn(
+        "vehicle_y_m", "m", "world.placement.vehicle_m.1", "y (to the left) of the same position"
+    ),
+    ResultColumn(
+        "vehicle_z_m",
+        "m",
+        "world.placement.vehicle_m.2",
+        "z (above the road) of the same position; empty without the height of the camera",
+    ),
 )
 
 _TRUTH = (  # that are added to the rows where there is ground truth, and are in no file

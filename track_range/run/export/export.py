@@ -34,7 +34,7 @@ from track_range.foundation.files.output_files import OutputError, make_folder
 from track_range.foundation.schemas.options import Options, option
 from track_range.results.event_scenarios import write_event_scenarios
 from track_range.results.events.event import Event, is_clip_name
-from track_range.results.folder import DEFAULT_FPS, RunFolder, every_of
+from track_range.results.folder import DEFAULT_FPS, DetectedCamera, RunFolder, every_of
 from track_range.results.formats.openscenario_file import OpenScenarioWriter, Trajectories
 from track_range.results.formats.poses_file import read_poses
 from track_range.results.formats.run_info import RunInfo
@@ -292,6 +292,7 @@ def _export_rows(
         settings=run.settings,
         start_utc_s=_start_utc_s(rows),
         provenance=run.provenance,
+        mounting=DetectedCamera.model_validate(run.detected).mounting(),
         overlay=overlay if (overlay := run.folder / "overlay.mp4").is_file() else None,
     )
     with (

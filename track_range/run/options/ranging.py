@@ -143,8 +143,9 @@ class RangingOptions(Options):
             "yaw=-58,pitch=2: yaw (positive = to the left; 180 = to the rear), pitch (down) and roll "
             "(right side lower) in degrees and their standard deviation sigma (2); x (forward) and "
             "y (to the left) in metres from the point of the vehicle whose speed is given, and the "
-            "height z above the road. The given speed is then that of the vehicle. A view of a wide "
-            "lens is turned further, by --yaw-deg to the right (default: as in --rig, else unknown).",
+            "height z above the road; front of the vehicle, forward of the same point, from which "
+            "gaps count. The given speed is then that of the vehicle. A view of a wide lens is turned "
+            "further, by --yaw-deg to the right (default: as in --rig, else unknown).",
             metavar="NAME=NUMBER",
             is_repeated=True,
         ),

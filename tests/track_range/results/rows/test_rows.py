@@ -40,7 +40,7 @@ def test_names_and_places_are_declared_once():
 def test_replays_make_the_part_of_every_place():
     made_besides = ("ranges.", "world.xyz_m.", "world.xy_sigma_m.")
     parts = {
-        column.place.removesuffix(".0").removesuffix(".1").rpartition(".")[0]
+        column.place.rstrip("012").removesuffix(".").rpartition(".")[0]
         for column in columns.result_columns()
         if not column.place.startswith(made_besides)
     }

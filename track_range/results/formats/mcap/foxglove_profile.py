@@ -28,6 +28,7 @@ from track_range.results.formats.mcap import (
 )
 from track_range.results.rows.columns import viewer_columns
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.mounting import Mounting
 
 CALIBRATION, IMAGE, LOG = "/camera/calibration", "/camera/image", "/log"
 _CORNER_PX = 0.5  # Foxglove's coordinates of the centre of the first pixel
@@ -68,8 +69,8 @@ class FoxgloveProfile:
 
     name = ""
 
-    def __init__(self, camera: PinholeCamera) -> None:
-        self._camera = camera
+    def __init__(self, camera: PinholeCamera, mounting: Mounting | None = None) -> None:
+        self._camera, self._mounting = camera, mounting
         self._matrices = calibration_matrices(camera)
         self._shown: set[int] = set()
 
@@ -86,7 +87,7 @@ class FoxgloveProfile:
         """Messages of a frame, without its image."""
         time = _timestamp(time_ns)
         yield (CALIBRATION, self._calibration(time))
-        yield (TRANSFORMS, _transforms(time, pose))
+        yield (TRANSFORMS, _transforms(time, scene.transforms(pose, self._mounting)))
         yield (ANNOTATIONS, _annotations(objects, time))
         yield (SCENE, self._scene(objects, time))
         rows = [
@@ -149,11 +150,7 @@ def _colour(rgb: tuple[int, int, int], alpha: float) -> fox.Color:
     return fox.Color(r=red / 255, g=green / 255, b=blue / 255, a=alpha)
 
 
-def _transforms(time: Timestamp, pose: EgoPose | None) -> bytes:
-    parts = (
-        (scene.MAP_FRAME, scene.VEHICLE_FRAME, *scene.map_from_vehicle(pose)),
-        (scene.VEHICLE_FRAME, scene.CAMERA_FRAME, (0.0, 0.0, 0.0), scene.VEHICLE_FROM_CAMERA_XYZW),
-    )
+def _transforms(time: Timestamp, parts: Sequence[scene.Transform]) -> bytes:
     transforms = [
         fox.FrameTransform(
             timestamp=time,

@@ -26,6 +26,7 @@ from track_range.results.formats.mcap import (
     calibration_matrices,
 )
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.mounting import Mounting
 
 CALIBRATION, IMAGE, LOG = "/camera/camera_info", "/camera/image/compressed", "/rosout"
 """Topics where image_transport, RViz and other nodes of ROS expect them."""
@@ -68,8 +69,8 @@ class Ros2Profile:
 
     name = "ros2"
 
-    def __init__(self, camera: PinholeCamera) -> None:
-        self._camera = camera
+    def __init__(self, camera: PinholeCamera, mounting: Mounting | None = None) -> None:
+        self._camera, self._mounting = camera, mounting
         self._store = get_typestore(Stores.ROS2_HUMBLE)
         for name, text in _VISION_MESSAGES.items():
             self._store.register(get_types_from_msg(text, f"vision_msgs/msg/{name}"))
@@ -85,13 +86,8 @@ class Ros2Profile:
         """Messages of a frame, without its image."""
         header = self._header(time_ns)
         yield self._message(CALIBRATION, header=header, **self._calibration())
-        camera = (0.0, 0.0, 0.0), scene.VEHICLE_FROM_CAMERA_XYZW
-        transforms = [
-            self._transform(
-                time_ns, scene.MAP_FRAME, scene.VEHICLE_FRAME, *scene.map_from_vehicle(pose)
-            ),
-            self._transform(time_ns, scene.VEHICLE_FRAME, scene.CAMERA_FRAME, *camera),
-        ]
+        parts = scene.transforms(pose, self._mounting)
+        transforms = [self._transform(time_ns, *part) for part in parts]
         yield self._message(TRANSFORMS, transforms=transforms)
         in_image = [self._detection_2d(shown, header) for shown in objects]
         yield self._message(DETECTIONS_2D, header=header, detections=in_image)

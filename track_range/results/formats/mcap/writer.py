@@ -57,7 +57,7 @@ class McapWriter:
         profile = resolve_name(
             PROFILES.get(str(info.settings.get("mcap_profile")), PROFILES["foxglove"])
         )
-        self._profile: FoxgloveProfile | Ros2Profile = profile(info.camera)
+        self._profile: FoxgloveProfile | Ros2Profile = profile(info.camera, info.mounting)
         start_us = round((info.start_utc_s or 0.0) * 1e6)  # float64 holds microseconds since 1970
         self._start_ns = min(max(start_us * 1000, 0), _MAX_TIME_NS)
         self._held: tuple[int, list[Message]] | None = None
