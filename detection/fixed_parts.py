@@ -24,6 +24,7 @@ import numpy as np
 
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import BoolArray, FloatArray32, Image, IntArray
+from track_range.foundation.errors import Note
 from track_range.foundation.files.input_files import counted
 
 # longer side of the grid of compared pixels; their neighbours are those of the whole image, in
@@ -82,8 +83,13 @@ class FixedParts:
         if self.n_left_out == 0:
             return ()
         return (
-            "On parts of the image that never move (burnt-in text, things on the dashboard), "
-            f"{counted(self.n_left_out, 'box', 'boxes')} left out.",
+            Note(
+                "On parts of the image that never move (burnt-in text, things on the dashboard), "
+                f"{counted(self.n_left_out, 'box', 'boxes')} left out.",
+                "fixed-parts",
+                "ok",
+                "detector",
+            ),
         )
 
     def add(self, image: Image, time_s: float) -> None:

@@ -81,6 +81,8 @@ _NAMES = LazyNames(
         "track_range.run.pipeline": "Pipeline",
         "track_range.run.options.settings": "RunSettings",
         "track_range.pipeline.frame_result": "FrameResult TrackedObject",
+        "track_range.pipeline.state": "PipelineState",
+        "track_range.recording.video.pixel_formats": "decoded_image",
         "track_range.api.parts": "open_recording Detector Tracker load_rig",
         "track_range.api.evaluation": "check",
         "track_range.results.events.files": "read_events",

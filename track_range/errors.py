@@ -17,11 +17,11 @@ if TYPE_CHECKING:
         UserError as UserError,
     )
     from track_range.foundation.files.output_files import OutputError as OutputError
+    from track_range.pipeline.state import StateError as StateError
     from track_range.ranging.methods.method import MethodError as MethodError
-    from track_range.recording.video.frame import VideoError as VideoError
+    from track_range.recording.video.frame import FrameError as FrameError, VideoError as VideoError
     from track_range.results.events.files import EventFileError as EventFileError
     from track_range.results.writers import WriterError as WriterError
-    from track_range.run.pipeline import FrameError as FrameError
     from track_range.stereo.geometry.rig import RigError as RigError
     from track_range.tracking.registry import TrackerError as TrackerError
 
@@ -29,8 +29,8 @@ _NAMES = LazyNames(
     __name__,
     {
         "track_range.foundation.errors": "UserError ConfigError UsageError",
-        "track_range.run.pipeline": "FrameError",
-        "track_range.recording.video.frame": "VideoError",
+        "track_range.recording.video.frame": "FrameError VideoError",
+        "track_range.pipeline.state": "StateError",
         "track_range.stereo.geometry.rig": "RigError",
         "track_range.detection.models.onnx_session": "ModelError",
         "track_range.detection.detector": "DetectorError",

@@ -18,7 +18,7 @@ from track_range.detection.models.devices import Device
 from track_range.detection.models.file_kinds import other_kind
 from track_range.detection.models.providers import first_line, open_session
 from track_range.foundation.arrays import FloatArray32
-from track_range.foundation.errors import UserError
+from track_range.foundation.errors import Note, UserError
 from track_range.foundation.files.input_files import check_regular, quoted, real_path, shortened
 
 _MAX_MODEL_BYTES = 2**31  # protobuf's limit
@@ -69,7 +69,12 @@ class OnnxSession:
         self._n_threads, self._has_run = runtime.n_threads, False
         if reason and runtime.device != "auto":
             self.notes = (
-                f"--device {runtime.device} is not available ({reason}); using {self.device}.",
+                Note(
+                    f"--device {runtime.device} is not available ({reason}); using {self.device}.",
+                    "device-not-available",
+                    "warning",
+                    "detector",
+                ),
             )
         self._input, self._size_input = _checked_inputs(path, self._session.get_inputs())
         shape = tuple(d if isinstance(d, int) else None for d in self._input.shape)
@@ -82,6 +87,9 @@ class OnnxSession:
         self.input_dtype = np.float16 if self._input.type == "tensor(float16)" else np.float32
         self.has_target_sizes = self._size_input is not None
         self.metadata: Mapping[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return OnnxSession, (self.path, Runtime(n_threads=self._n_threads, device=self.device))
 
     def inputs(self, blob: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
         """All inputs by name, for an input blob (batch, 3, height, width) of the network's type."""

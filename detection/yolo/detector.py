@@ -51,6 +51,7 @@ from track_range.detection.yolo.metadata import (
 )
 from track_range.detection.yolo.network_outputs import NetworkOutputs, YoloModel
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntArray
+from track_range.foundation.errors import Note
 from track_range.foundation.files.input_files import quoted, shortened
 
 # input sizes whose buffers are cached; binding a new size costs one run of the network
@@ -274,16 +275,26 @@ class YoloDetector:
             notes.append(self.model.note)
         if first.n_checked >= N_IMAGES and not first.n_detected:
             notes.append(
-                f"{name} detected nothing in the first {N_IMAGES} images; if they show road users, "
-                "the input or the outputs of the model are interpreted wrongly: see "
-                "`track-range models info --image`."
+                Note(
+                    f"{name} detected nothing in the first {N_IMAGES} images; if they show road "
+                    "users, the input or the outputs of the model are interpreted wrongly: see "
+                    "`track-range models info --image`.",
+                    "detector-empty",
+                    "error",
+                    "detector",
+                )
             )
         if self._settings.size_px is not None and None not in self._session.input_shape[2:]:
             notes.append(f"--size is not used: the input of {name} has a fixed size.")
         if self.n_invalid:
             boxes = "1 box" if self.n_invalid == 1 else f"{self.n_invalid} boxes"
             notes.append(
-                f"The network returned NaN, infinite numbers or unknown labels: {boxes} ignored."
+                Note(
+                    f"The network returned NaN, infinite numbers or unknown labels: {boxes} ignored.",
+                    "detector-invalid",
+                    "warning",
+                    "detector",
+                )
             )
         return tuple(notes)
 

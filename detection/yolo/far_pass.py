@@ -7,6 +7,7 @@ high. In the band, which is a third of the image, it sees them at 0.75.
 import math
 from collections import deque
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -45,11 +46,18 @@ class FarPass:
     """
 
     def __init__(self, network: YoloDetector, every: int | None = None) -> None:
-        self.n_frames, self.n_passes = 0, 0
         self._network, self._every = network, every
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget what the images so far showed."""
+        self.n_frames, self.n_passes = 0, 0
         self._input_hw = _HEIGHT_PX, _MAX_WIDTH_PX
         self._last_s = -math.inf  # time of the last pass
         self._rows_px: deque[float] = deque(maxlen=_N_ROWS)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_network"}
 
     def completed(self, near: Detections, image: Image, time_s: float) -> Detections:
         """The boxes `near` of an image, (H, W, 3) uint8 BGR, with those of the band if a pass is

@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 from track_range.foundation.background import Background
+from track_range.foundation.errors import Note
 from track_range.ranging.cameras.causes import SHOWN_SIGMA, Agreement, ScaleDoubt
 from track_range.ranging.cameras.evidence import Evidence, EvidenceSource, SeenFrame
 from track_range.ranging.cameras.known_distances import KnownDistances
@@ -230,10 +231,15 @@ class ScaleCheck:
         """Messages for the user so far."""
         spans = ", ".join(f"{start:.1f} to {end:.1f} s" for start, end in self._past_s)
         was_in_doubt = (
-            f"The scale was in doubt from {spans}: during this time, sigmas are wider and no "
-            "alarms are given.",
+            Note(
+                f"The scale was in doubt from {spans}: during this time, sigmas are wider and no "
+                "alarms are given.",
+                "scale-was-in-doubt",
+                "ok",
+                "calibration",
+            ),
         )
-        of_focal = () if self.focal is None else (self.focal.sentence,)
+        of_focal = () if self.focal is None else (_of_focal(self.focal),)
         past = (
             *self._known.notes,
             *of_focal,
@@ -245,18 +251,35 @@ class ScaleCheck:
             advice = "; a given speed (GPS, --ego-speed) would show the scale within 1 to 3 %"
             past = (
                 *past,
-                f"Uncalibrated pair: with a focal length of {learnt['focal_px']:.0f} px, the drive "
-                f"shows a baseline of {learnt['baseline_m']:.2f} m, by {self._evidence_names}; all "
-                "distances share a scale uncertainty of about "
-                f"{100 * learnt['relative_sigma']:.0f} %{'' if has_speed else advice}.",
+                Note(
+                    f"Uncalibrated pair: with a focal length of {learnt['focal_px']:.0f} px, the drive "
+                    f"shows a baseline of {learnt['baseline_m']:.2f} m, by {self._evidence_names}; all "
+                    "distances share a scale uncertainty of about "
+                    f"{100 * learnt['relative_sigma']:.0f} %{'' if has_speed else advice}.",
+                    "baseline-estimated",
+                    "ok",
+                    "calibration",
+                ),
             )
         if self.doubt is not None:
-            return (*past, f"{self.sentence} {_EFFECT}")
+            return (
+                *past,
+                Note(f"{self.sentence} {_EFFECT}", "scale-in-doubt", "error", "calibration"),
+            )
         is_height_given = self.priors[Unknown.HEIGHT].kind == "given"
         if is_height_given and self.height_agreement.is_contrary:
-            past = (*past, self.height_agreement.sentence)
+            past = (*past, self._height_note)
         is_checked = self.baseline_m is not None and self._is_calibrated
-        return (*past, self.sentence) if is_checked else past
+        return (*past, self._checked_note) if is_checked else past
+
+    @property
+    def _height_note(self) -> Note:
+        sentence = self.height_agreement.sentence
+        return Note(sentence, "height-contradicted", "warning", "calibration")
+
+    @property
+    def _checked_note(self) -> Note:
+        return Note(self.sentence, "baseline-checked", "ok", "calibration")
 
     @property
     def _offset_notes(self) -> tuple[str, ...]:
@@ -266,10 +289,15 @@ class ScaleCheck:
             return ()
         size = "small" if offset.px > 0 else "large"
         return (
-            f"Disparities are {abs(offset.px):.1f} ± {offset.sigma_px:.1f} px too {size}, by the "
-            "sizes of near and far road users, as with shifted images or a turned camera: "
-            "corrected, and part of every sigma; a drive in motion (or --align FILE) measures this "
-            "better.",
+            Note(
+                f"Disparities are {abs(offset.px):.1f} ± {offset.sigma_px:.1f} px too {size}, by the "
+                "sizes of near and far road users, as with shifted images or a turned camera: "
+                "corrected, and part of every sigma; a drive in motion (or --align FILE) measures this "
+                "better.",
+                "disparity-offset",
+                "warning",
+                "pair",
+            ),
         )
 
     @property
@@ -387,3 +415,7 @@ def _listed(names: Sequence[str]) -> str:
     """The different names, as part of a sentence."""
     *first, last = dict.fromkeys(names) or ("",)
     return f"{', '.join(first)} and {last}" if first else last
+
+
+def _of_focal(focal: FocalEstimate) -> Note:
+    return Note(focal.sentence, "focal-length-estimated", "ok", "calibration")

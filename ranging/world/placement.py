@@ -50,11 +50,9 @@ class PointStates:
     def turned(self, mounting: Mounting | None) -> PointStates:
         """The same of camera axes in the axes of the vehicle; NaN without a mounting."""
         if mounting is None:
-            nan = math.nan
-            values = self.position_m, self.covariance_m2, self.velocity_mps
-            return PointStates(
-                *(value * nan for value in values), self.velocity_covariance_m2ps2 * nan
-            )
+            points = np.full_like(self.position_m, np.nan)
+            matrices = np.full_like(self.covariance_m2, np.nan)
+            return PointStates(points, matrices, points, matrices)
         R = mounting.vehicle_from_camera
         sigma_rad = math.radians(mounting.sigma_deg)
         from_camera_m, velocity_mps = self.position_m @ R.T, self.velocity_mps @ R.T

@@ -19,12 +19,15 @@ from typing import Literal
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.errors import Note, Severity
 from track_range.stereo.alignment.from_drive import NOT_MEASURED
 from track_range.stereo.alignment.pair_evidence import Motion, PairFigures
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.rig import StereoRig
 
 Fault = Literal["fits", "verged", "swapped", "turned", "unsteady", "refused", "unknown"]
+# of which a pair is ranged by stereo
+_USABLE = ("fits", "verged", "turned", "unsteady")
 
 # matches of successive left images from which a pair without matches is one of different scenes
 _MIN_TRACKED = 100
@@ -88,6 +91,12 @@ class PairFinding:
     def sentence(self) -> str:
         """What was found, and its consequence; empty = no message."""
         return f"{self.explanation}{self.consequence}"
+
+    @property
+    def note(self) -> Note:
+        """The sentence with the code of its fault, "pair-" and its name."""
+        severity: Severity = "warning" if self.fault in _USABLE else "error"
+        return Note(self.sentence, f"pair-{self.fault}", severity, "pair")
 
     def uncorrected(self, consequence: str = GIVEN) -> PairFinding:
         """The finding in a run that shifts no images: no stereo if the pair needs a shift."""

@@ -24,6 +24,7 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import Image
+from track_range.foundation.errors import Note
 from track_range.foundation.files.input_files import counted
 from track_range.stereo.odometry.scene_cuts import SceneCuts
 
@@ -173,9 +174,14 @@ class ImageTimes:
         if self._cut_s:
             cuts = _listed([f"{cut_s:.1f} s" for cut_s in self._cut_s])
             notes.append(
-                f"The images show another scene from {cuts} on: tracks, odometry and filters start "
-                "again there, but a tracker object of your own goes on; give scenes of another "
-                "camera on their own."
+                Note(
+                    f"The images show another scene from {cuts} on: tracks, odometry and filters start "
+                    "again there, but a tracker object of your own goes on; give scenes of another "
+                    "camera on their own.",
+                    "scene-changed",
+                    "warning",
+                    "left",
+                )
             )
         frozen_s = list(self._frozen_s)
         if self._images and self._last_s - self._images[-1].frame_s >= _FROZEN_S and self._n_row:
@@ -183,15 +189,25 @@ class ImageTimes:
         if frozen_s:
             spans = _listed([f"{start:.1f} to {end:.1f} s" for start, end in frozen_s])
             notes.append(
-                f"The images do not change from {spans}, although the camera was moving: "
-                "distances are predicted there, and soon unknown; check the camera and its "
-                "recording."
+                Note(
+                    f"The images do not change from {spans}, although the camera was moving: "
+                    "distances are predicted there, and soon unknown; check the camera and its "
+                    "recording.",
+                    "images-frozen",
+                    "error",
+                    "left",
+                )
             )
         if self._n_single > max(_MAX_NOTED * self._n_frames, 1):
             notes.append(
-                f"{self._pattern} ({self._n_single} of {counted(self._n_frames, 'frame')}), as "
-                "after a change of the frame rate: repeated images are not measured, and speeds "
-                "are those between new images."
+                Note(
+                    f"{self._pattern} ({self._n_single} of {counted(self._n_frames, 'frame')}), as "
+                    "after a change of the frame rate: repeated images are not measured, and speeds "
+                    "are those between new images.",
+                    "images-repeated",
+                    "warning",
+                    "left",
+                )
             )
         return tuple(notes)
 

@@ -36,6 +36,7 @@ from track_range.foundation.arrays import (
     check_shape,
 )
 from track_range.foundation.background import Background
+from track_range.foundation.errors import Note
 from track_range.foundation.robust_statistics import median_of
 from track_range.foundation.sparse_flow import (
     BackgroundFlow,
@@ -292,9 +293,14 @@ class StereoOdometry:
         pct = 100 * (self._focal_factor - 1)
         return (
             *notes,
-            f"The focal length of both cameras changed by {pct:+.1f} % at about "
-            f"{self._zoomed_s:.1f} s, as if they zoomed or focused: this is part of the sigma of "
-            "every distance. Fix zoom and focus.",
+            Note(
+                f"The focal length of both cameras changed by {pct:+.1f} % at about "
+                f"{self._zoomed_s:.1f} s, as if they zoomed or focused: this is part of the sigma of "
+                "every distance. Fix zoom and focus.",
+                "focal-length-changed",
+                "warning",
+                "pair",
+            ),
         )
 
     @property

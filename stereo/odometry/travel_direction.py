@@ -9,6 +9,7 @@ recording is cut to another camera.
 
 import math
 
+from track_range.foundation.errors import Note
 from track_range.stereo.geometry.camera import PinholeCamera
 
 _MAX_YAW_RAD_S = 0.03  # largest yaw rate of a straight road
@@ -49,14 +50,24 @@ class TravelDirection:
         side_deg, offset_px = math.degrees(abs(self.side_rad)), self._focal_px * abs(self.side_rad)
         if self._has_mounting:
             return (
-                f"On straight roads, the camera moves {side_deg:.1f} degrees to the {side} of the "
-                f"direction of travel by its mounting: it is turned further to the {other} than the "
-                "mounting states, or its principal point is wrong. Check the mounting (--mount, or "
-                "in the rig file).",
+                Note(
+                    f"On straight roads, the camera moves {side_deg:.1f} degrees to the {side} of the "
+                    f"direction of travel by its mounting: it is turned further to the {other} than the "
+                    "mounting states, or its principal point is wrong. Check the mounting (--mount, or "
+                    "in the rig file).",
+                    "mounting-contradicted",
+                    "warning",
+                    "calibration",
+                ),
             )
         return (
-            f"On straight roads, the camera moves {side_deg:.1f} degrees to the {side} of its axis: "
-            f"it is turned to the {other}, or its principal point is {offset_px:.0f} px too far to "
-            f"the {other}; lateral positions have this error. Check the principal point of the "
-            "calibration.",
+            Note(
+                f"On straight roads, the camera moves {side_deg:.1f} degrees to the {side} of its axis: "
+                f"it is turned to the {other}, or its principal point is {offset_px:.0f} px too far to "
+                f"the {other}; lateral positions have this error. Check the principal point of the "
+                "calibration.",
+                "principal-point-contradicted",
+                "warning",
+                "calibration",
+            ),
         )

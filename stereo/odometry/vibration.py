@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.errors import Note
 
 # angle, rad, from which it is noted; a smooth turn has less than 0
 _MIN_RAD = 1e-3
@@ -56,7 +57,12 @@ class Vibration:
         if math.isnan(self.since_s):
             return ()
         return (
-            f"The images vibrate from {self.since_s:.1f} s on: they jump by "
-            f"{focal_px * self.largest_rad:.1f} px from frame to frame (1 sigma). Speeds are less "
-            "accurate, and their sigmas contain it; mount the cameras more firmly.",
+            Note(
+                f"The images vibrate from {self.since_s:.1f} s on: they jump by "
+                f"{focal_px * self.largest_rad:.1f} px from frame to frame (1 sigma). Speeds are less "
+                "accurate, and their sigmas contain it; mount the cameras more firmly.",
+                "images-vibrate",
+                "warning",
+                "left",
+            ),
         )

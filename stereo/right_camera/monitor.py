@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.errors import Note
 from track_range.stereo.alignment.health import MATTERS, REFERENCE_M, Move, matters_px
 from track_range.stereo.alignment.right_view import fit_rows
 from track_range.stereo.geometry.alignment import Alignment, column_from_axis
@@ -85,9 +86,14 @@ class RightCameraMonitor:
             return ()
         if self._n_hits >= max(_MIN_HITS, _SHAKING_FRACTION * self._n_frames):
             return (
-                f"Left and right images shake against each other from {self._moved_s:.1f} s on, in "
-                f"{100 * self._n_hits / self._n_frames:.0f} % of the frames: this is corrected, "
-                "but distances are less accurate; mount the cameras more firmly.",
+                Note(
+                    f"Left and right images shake against each other from {self._moved_s:.1f} s on, in "
+                    f"{100 * self._n_hits / self._n_frames:.0f} % of the frames: this is corrected, "
+                    "but distances are less accurate; mount the cameras more firmly.",
+                    "right-camera-shakes",
+                    "warning",
+                    "right",
+                ),
             )
         pitch_px, roll_px, zoom_px, offset_px, _ = self._moved.applied_px.tolist()
         pct = 100 * MATTERS * abs(offset_px) / self._matters_px
@@ -102,8 +108,13 @@ class RightCameraMonitor:
         }
         changed = ", ".join(text for text, size_px in parts.items() if size_px)
         return (
-            f"Rig: the right camera moved at about {self._moved_s:.1f} s, or was refocused: "
-            f"{changed}; this is corrected from then on. Mount the cameras more firmly.",
+            Note(
+                f"Rig: the right camera moved at about {self._moved_s:.1f} s, or was refocused: "
+                f"{changed}; this is corrected from then on. Mount the cameras more firmly.",
+                "right-camera-moved",
+                "warning",
+                "right",
+            ),
         )
 
     def _remember(self, time_s: float) -> None:

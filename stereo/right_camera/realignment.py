@@ -19,6 +19,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.background import Background, BackgroundObject, InThreads
+from track_range.foundation.errors import Note
 from track_range.stereo.alignment.from_drive import MIN_STEP_S, DriveAlignment
 from track_range.stereo.alignment.pair_evidence import PairEvidence
 from track_range.stereo.alignment.pair_finding import PairFinding, find_fault
@@ -97,10 +98,22 @@ class Realignment:
             "camera moved far, or was covered"
         )
         if self.is_lost:
-            return (f"{lost}: distances come from the left video alone.",)
+            return (
+                Note(
+                    f"{lost}: distances come from the left video alone.",
+                    "pair-lost",
+                    "error",
+                    "pair",
+                ),
+            )
         return (
-            f"{lost}, until {self._until_s:.1f} s: distances came from the left video alone, and "
-            "from then on, the pair has another alignment. Mount the cameras more firmly.",
+            Note(
+                f"{lost}, until {self._until_s:.1f} s: distances came from the left video alone, and "
+                "from then on, the pair has another alignment. Mount the cameras more firmly.",
+                "pair-realigned",
+                "warning",
+                "pair",
+            ),
         )
 
     @property

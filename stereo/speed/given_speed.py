@@ -20,6 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.errors import Note
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.stereo.speed.ego_speed import EgoSpeed
 from track_range.stereo.speed.speed_relation import LAGS_S, RelationFit, SpeedRelation
@@ -185,14 +186,24 @@ class GivenSpeed:
             side = "late" if lag_s > 0 else "early"
             effect = "it is read at this delay" if self._has_table else "the images correct it"
             notes.append(
-                f"The given speed is {abs(lag_s):.1f} ± {sigma_s:.1f} s {side}, as the changes of "
-                f"the speed in the images show: {effect}; check the times of its source."
+                Note(
+                    f"The given speed is {abs(lag_s):.1f} ± {sigma_s:.1f} s {side}, as the changes of "
+                    f"the speed in the images show: {effect}; check the times of its source.",
+                    "speed-delayed",
+                    "warning",
+                    "speed",
+                )
             )
         if self._rest_s >= _MIN_REST_S:
             notes.append(
-                f"The given speed is below {_REST_MPS:g} m/s during {self._rest_s:.1f} of the "
-                f"{self._moving_s:.1f} s in which the images show that the camera moves: the "
-                "speed of the images is used there; check the source of the speed."
+                Note(
+                    f"The given speed is below {_REST_MPS:g} m/s during {self._rest_s:.1f} of the "
+                    f"{self._moving_s:.1f} s in which the images show that the camera moves: the "
+                    "speed of the images is used there; check the source of the speed.",
+                    "speed-lost",
+                    "warning",
+                    "speed",
+                )
             )
         return tuple(notes)
 

@@ -35,6 +35,8 @@ from typing import (
     cast,
 )
 
+from track_range.foundation.errors import Note
+
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 _R = TypeVar("_R")
@@ -44,19 +46,25 @@ _SERVE = (
     "import sys; sys.path[:] = sys.argv[1:]; "
     "from track_range.foundation.background import serve; serve()"
 )
-_NOT_STARTED = (
+_NOT_STARTED = Note(
     "A process beside the steps cannot be started ({}): the alignment of a pair and a focal length "
-    "are estimated in a thread, beside which steps take longer."
+    "are estimated in a thread, beside which steps take longer.",
+    "no-background-process",
+    "warning",
 )
-_ENDED = (
+_ENDED = Note(
     "The process beside the steps ended (status {}): an alignment, a focal length and a check of "
     "the pair that it had not finished stay unknown. Create the pipeline again, or with "
-    "deterministic=True, which needs no process."
+    "deterministic=True, which needs no process.",
+    "background-process-ended",
+    "error",
 )
 
 
 class BackgroundObject(ABC, Generic[_T]):
     """An object that is used in the background only, by calls of its methods in their order."""
+
+    background: Background  # in which it is used
 
     @abstractmethod
     def call(
@@ -112,7 +120,7 @@ class InThreads(Background):
         self, make: Callable[_P, _T], *arguments: _P.args, **keywords: _P.kwargs
     ) -> BackgroundObject[_T]:
         """Make an object for one thread."""
-        return _ObjectOfThread(make(*arguments, **keywords))
+        return _ObjectOfThread(self, make(*arguments, **keywords))
 
     def is_ready(self, future: Future[Any]) -> bool:
         """Whether the result is known, or waited for."""
@@ -120,8 +128,8 @@ class InThreads(Background):
 
 
 class _ObjectOfThread(BackgroundObject[_T]):
-    def __init__(self, target: _T) -> None:
-        self._target = target
+    def __init__(self, background: Background, target: _T) -> None:
+        self.background, self._target = background, target
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="background")
 
     def call(
@@ -287,6 +295,7 @@ def _end(process: subprocess.Popen[bytes], messages: _Messages) -> None:
 
 class _ObjectOfProcess(BackgroundObject[_T]):
     def __init__(self, process: InProcess, number: int) -> None:
+        self.background: Background = process
         self._process, self._number = process, number
 
     def call(

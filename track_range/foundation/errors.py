@@ -4,10 +4,12 @@ The command line prints such an error as one sentence and exits with its status;
 is a defect of the program and keeps its traceback.
 """
 
+from __future__ import annotations
+
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import ClassVar
+from typing import Any, ClassVar, Literal, Self
 
 
 class UserError(Exception):
@@ -67,3 +69,47 @@ def call_all(steps: Iterable[Callable[[], object]]) -> None:
             errors.append(error)
     if errors:
         raise errors[0]
+
+
+Severity = Literal["ok", "warning", "error"]
+"""Of a note: works as it should; works with larger errors or gaps; does not work."""
+
+
+class Note(str):
+    """A sentence for the user with a code for programs; as a text it is the sentence alone.
+
+    Attributes:
+        code: name of what it says, such as "right-camera-moved"; the sentence may change, the code
+            does not.
+        severity: "ok", "warning" or "error".
+        sensor: what it is about: "left", "right", "pair", "speed", "detector", "calibration",
+            "methods" or "pipeline".
+    """
+
+    __slots__ = ("code", "sensor", "severity")
+    code: str
+    severity: Severity
+    sensor: str
+
+    def __new__(
+        cls,
+        sentence: str,
+        code: str = "note",
+        severity: Severity = "ok",
+        sensor: str = "pipeline",
+    ) -> Self:
+        """A sentence with its code."""
+        note = super().__new__(cls, sentence)
+        note.code, note.severity, note.sensor = code, severity, sensor
+        return note
+
+    def format(self, *values: object, **named: object) -> Note:
+        """The sentence with values, and with the same code."""
+        return self.said(str.format(self, *values, **named))
+
+    def said(self, sentence: str) -> Note:
+        """Another sentence with the same code."""
+        return Note(sentence, self.code, self.severity, self.sensor)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Note, (str(self), self.code, self.severity, self.sensor)

@@ -5,6 +5,7 @@ object.
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -53,10 +54,16 @@ class PointState:
     velocity_covariance_m2ps2: Matrix3 = (_NAN3, _NAN3, _NAN3)
 
 
+def _rows(matrix: Any) -> Matrix3:
+    """A list of lists as a matrix."""
+    first, second, third = map(tuple, matrix)
+    return first, second, third
+
+
 def _point_states(states: PointStates) -> Iterable[PointState]:
     """The states one by one."""
     return (
-        PointState(tuple(p), tuple(map(tuple, P)), tuple(v), tuple(map(tuple, V)))
+        PointState(tuple(p), _rows(P), tuple(v), _rows(V))
         for p, P, v, V in zip(
             states.position_m.tolist(),
             states.covariance_m2.tolist(),
@@ -231,7 +238,7 @@ class FrameResult:
         yield _point_states(in_camera)
         yield _point_states(in_camera.turned(placement.mounting))
         covariance_m2 = point_covariance(self.xyz_m, self.world.xy_sigma_m, fused.sigma_m)
-        yield (tuple(map(tuple, one)) for one in covariance_m2.tolist())
+        yield map(_rows, covariance_m2.tolist())
         yield self.closing_sigma_mps.tolist()
         yield self.ttc_sigma_s.tolist()
         yield self.motion.speed_sigma_mps.tolist()

@@ -10,7 +10,7 @@ from typing import Any, Self, TypeVar
 
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray32
-from track_range.foundation.errors import named_errors
+from track_range.foundation.errors import Note, named_errors
 from track_range.foundation.files.input_files import counted
 from track_range.pipeline.clock import StageClock
 from track_range.ranging.measurement.growth import Growth
@@ -177,8 +177,10 @@ class RangingStage:
                     f"skipped {counted(sum(counts.values()), 'value')}, since only positive and "
                     "finite values are valid"
                 )
-                notes.append(f"Ranging method {name!r}: {skipped} ({reasons}).")
-        return (*notes, *self._failures)
+                sentence = f"Ranging method {name!r}: {skipped} ({reasons})."
+                notes.append(Note(sentence, "method-values-invalid", "warning", "methods"))
+        failures = [Note(text, "method-failed", "error", "methods") for text in self._failures]
+        return (*notes, *failures)
 
     def summary(self) -> dict[str, Any]:
         """Entries of the methods for summary.json."""

@@ -110,6 +110,7 @@ class _Frames:
         tracks = Tracks(**parts["tracks"])
         warnings = Warnings(**parts["alarms.warnings"])
         safety = SafetyMeasures(**parts["alarms.safety"])
+        columns: dict[str, Any] = parts["world.placement"]
         ranges = {
             name: Ranges(
                 tracks.track_id,
@@ -129,7 +130,7 @@ class _Frames:
                 self._xy_sigma_m[rows],
                 ObjectMotion(**parts["world.motion"]),
                 pose,
-                replace(Placement.unknown(last - first), **parts["world.placement"]),
+                replace(Placement.unknown(last - first), **columns),
             ),
             alarms=Alarms(warnings, safety, self._has_warnings, self._has_safety),
             ego=EgoMotion(**ego),

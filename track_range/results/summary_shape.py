@@ -115,6 +115,7 @@ _SUMMARY = _section(
     **_all(dict[str, Any], "inputs settings versions"),
     files=dict[str, Text],
     notes=list[Text],
+    health=list[dict[str, Any]] | None,
     utc=_section(**_all(Text, "start source"), uncertainty_s=Figure) | None,
     ego_speed=_section(source=Text, **_all(Figure, "offset_s offset_sigma_s median_mps coverage"))
     | None,

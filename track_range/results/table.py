@@ -226,6 +226,14 @@ class RecentRows:
         self._reader = RowReader(self._columns)
         self._rows: deque[tuple[float, FrameValues]] = deque()
 
+    def __getstate__(self) -> tuple[Any, ...]:
+        return self._keep_s, self._finder, self._rows
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        self._keep_s, self._finder, self._rows = state
+        self._columns = result_columns()
+        self._reader = RowReader(self._columns)
+
     def add(self, result: FrameResult) -> None:
         """Add a frame, and forget rows and events that are older than `keep_s`."""
         self._finder.update(result)

@@ -62,6 +62,8 @@ class BoxSource:
     box_errors: BoxErrors | None = None  # systematic errors of the boxes; None = unknown
     # what never moves in the images, on which a detector finds no road user; None = recorded boxes
     fixed_parts: FixedParts | None = None
+    # adds far road users, and learns where they are; None = there is none
+    far_pass: FarPass | None = None
     # (M,) numbers of those with recorded boxes
     frames: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
 
@@ -116,6 +118,7 @@ def network_source(
         box_errors=network.box_errors,
         fixed_parts=FixedParts(),
         prepare=prepared,
+        far_pass=far_pass,
     )
 
 

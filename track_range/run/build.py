@@ -14,6 +14,7 @@ from track_range.detection.lanes.nets import open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.arrays import Image
 from track_range.foundation.background import Background, InThreads
+from track_range.foundation.errors import Note
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.pipeline.alarming import AlarmStage
@@ -51,11 +52,19 @@ from track_range.stereo.odometry.stereo_odometry import StereoOdometry
 from track_range.stereo.speed.ego_speed import EgoSpeed
 from track_range.tracking.registry import ObjectTracker, TrackerOptions, create_tracker
 
-_NOT_AHEAD = (
+_NOT_AHEAD = Note(
     "The view does not look along the drive (--mount, --yaw-deg): it has no lane lines, no times to "
-    "collision and no collision warnings; distances are along its axis."
+    "collision and no collision warnings; distances are along its axis.",
+    "view-not-ahead",
+    "warning",
+    "left",
 )
-_OTHER_HEIGHT = "The camera height is as given, and not the {:g} m of the calibration or mounting."
+_OTHER_HEIGHT = Note(
+    "The camera height is as given, and not the {:g} m of the calibration or mounting.",
+    "height-given",
+    "ok",
+    "calibration",
+)
 
 # images of the warm-up, and what moves in them
 _WARM_UP_PX, _FOCAL_PX, _BASELINE_M = (640, 360), 500.0, 0.3

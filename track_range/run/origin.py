@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from track_range.foundation.errors import Note
 from track_range.foundation.installed import conflicts, installed_versions
 from track_range.foundation.schemas.schema_version import SCHEMA_VERSION
 from track_range.ranging.registry import origins
@@ -117,7 +118,8 @@ class Origin(Reports):
         rig = opened.recording.calibration.path
         rigs = [] if rig is None else [rig]
         paths = [*input_files(opened.settings), *rigs, *opened.speed.files]
-        return [without_paths(note, paths) for note in notes]
+        texts = [(note, without_paths(note, paths)) for note in notes]
+        return [note.said(text) if isinstance(note, Note) else text for note, text in texts]
 
 
 def input_hashes(opened: OpenedRun) -> InputHashes:

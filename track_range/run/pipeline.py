@@ -13,7 +13,8 @@ import math
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from importlib.metadata import version
 from numbers import Real
 from pathlib import Path
 from types import TracebackType
@@ -24,12 +25,15 @@ import numpy as np
 from rich.console import Console
 
 from track_range.detection.detector import ObjectDetector
+from track_range.detection.fixed_parts import FixedParts
 from track_range.foundation.arrays import Image
 from track_range.foundation.background import Background, InThreads, beside_steps
-from track_range.foundation.errors import ConfigError, UsageError, UserError
+from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.schemas.keywords import KeywordsInErrors
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
+from track_range.pipeline.health import Health, health_of
+from track_range.pipeline.state import PipelineState, StateError, check_version, dumped, loaded
 from track_range.pipeline.throughput import latency_ms
 from track_range.ranging.size_models.curve import load_curves
 from track_range.recording.cameras.auto_alignment import PairAlignment, given_alignment
@@ -41,7 +45,9 @@ from track_range.recording.cameras.calibration import (
 )
 from track_range.recording.cameras.known_lenses import GivenLens
 from track_range.recording.pairs.aligner import ONE_BY_ONE, PairAligner
-from track_range.recording.video.frame import RecordedFrame
+from track_range.recording.video.frame import FrameError, RecordedFrame
+from track_range.recording.video.pixel_formats import bgr_of, pixel_format_of
+from track_range.recording.video.step_times import Moment, StepTimes
 from track_range.results.events.event import Event
 from track_range.results.events.finder import EventFinder
 from track_range.results.table import RecentRows
@@ -73,14 +79,10 @@ Cameras = str | Path | StereoRig | PinholeCamera  # a calibration file, or the m
 
 _MAX_BACKWARDS_MPS = 20.0  # largest plausible speed backwards; a faster one has the wrong sign
 _N_LATENCIES = 1000  # latest frames of which the latency is stated
-# steps between frames, so many in a row, that are probably no seconds
-_LONG_STEP_S, _N_LONG_STEPS = 5.0, 3
 # largest difference between a frame's time and a clock of this machine that stamps the images
 _SAME_CLOCK_S = 10.0
-
-
-class FrameError(UserError, ValueError):
-    """Images or a time that a pipeline cannot use; the pipeline is as before."""
+# time of frames after which the notes are looked at for `Pipeline.health`
+_HEALTH_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +129,19 @@ class _Parts:
         )
 
 
+@dataclass(slots=True)
+class _Drive:
+    """What a pipeline knows of its drive."""
+
+    rows: RecentRows
+    parts: _Parts | None = None  # None = before the first frame
+    times: StepTimes = field(default_factory=StepTimes)
+    n_frames: int = 0
+    health: Health = field(default_factory=Health)
+    time_s: float = 0.0  # of the last frame, and of the one at which the health was looked at
+    checked_s: float = -_HEALTH_S
+
+
 @dataclass(frozen=True, slots=True)
 class _Cameras:
     """What is given of the cameras of a pipeline."""
@@ -137,6 +152,13 @@ class _Cameras:
     is_pair: bool = field(default=False, kw_only=True)
     # of the file: of the camera, or of the left and the right one; empty = the usual ones
     names: tuple[str, ...] = field(default=(), kw_only=True)
+    # of the images, of a pair also one each; None = BGR or grey
+    pixel_format: str | tuple[str, str] | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        for name in _formats(self.pixel_format).values():
+            if name is not None:
+                pixel_format_of(name)
 
 
 def _opened_alignment(
@@ -203,7 +225,7 @@ class Pipeline:
                 load_calibration(cameras.models, cameras=cameras.names)
         self._align = _opened_alignment(cameras.align)
         self._is_closed = False
-        self._tracker = tracker
+        self._tracker, self._has_detector = tracker, detector is not None
         load_curves(options.curves, options.region or "unknown")
         if detector is not None:
             self._boxes = boxes_of(detector)
@@ -212,11 +234,9 @@ class Pipeline:
                 options, lambda name: ready_model(name, Console(quiet=True)), open_detector
             )
         warm_up(options, is_pair=cameras.is_pair)
-        self._rows = RecentRows(keep_s, EventFinder(options.event_settings))
-        self._parts: _Parts | None = None
+        self._keep_s, self._is_deterministic = keep_s, deterministic
         self._background: Background = InThreads() if deterministic else beside_steps()
-        self._index, self._first_s, self._last_s = 0, math.nan, -math.inf
-        self._n_long_steps = 0  # in a row, up to the last frame
+        self._drive = self._new_drive()
         self._latencies_s: deque[float] = deque(maxlen=_N_LATENCIES)
 
     @classmethod
@@ -230,6 +250,7 @@ class Pipeline:
         deterministic: bool = False,
         fov_deg: float | None = None,
         camera: str | Sequence[str] = (),
+        pixel_format: str | tuple[str, str] | None = None,
         **options: Unpack[PipelineKeywords],
     ) -> Self:
         """A pipeline for the images of two cameras.
@@ -248,6 +269,8 @@ class Pipeline:
             fov_deg: horizontal field of view to which images of wide lenses are undistorted; None =
                 the full field.
             camera: names of the left and the right camera in a calibration file of several.
+            pixel_format: format of the images, such as "rgb8", "mono16" or "nv12", or of the left
+                and the right ones, see `tr.decoded_image`; None = BGR or grey, 8 bits.
             options: options of `track-range run` for detection, tracking and ranging, with
                 underscores. `detector` and `tracker` may also be objects with `detect` and
                 `update`.
@@ -263,7 +286,8 @@ class Pipeline:
         values, objects = options_and_objects(PipelineOptions, {**options})
         chosen, view = pipeline_options(values), LensView(fov_deg)
         models = Path(rig) if isinstance(rig, str) else rig
-        given = _Cameras(models, view, align, is_pair=True, names=names_of(camera))
+        names = names_of(camera)
+        given = _Cameras(models, view, align, is_pair=True, names=names, pixel_format=pixel_format)
         return cls(given, chosen, **objects, keep_s=keep_s, deterministic=deterministic)
 
     @classmethod
@@ -278,6 +302,7 @@ class Pipeline:
         fov_deg: float | None = None,
         yaw_deg: float = 0.0,
         camera: str | Sequence[str] = (),
+        pixel_format: str | None = None,
         **options: Unpack[PipelineKeywords],
     ) -> Self:
         """A pipeline for the images of one camera; see `stereo` for the other arguments.
@@ -307,7 +332,7 @@ class Pipeline:
         values, objects = options_and_objects(PipelineOptions, {**options})
         chosen, view = pipeline_options(values), LensView(fov_deg, yaw_deg)
         models = Path(cameras) if isinstance(cameras, str) else cameras
-        given = _Cameras(models, view, names=names_of(camera))
+        given = _Cameras(models, view, names=names_of(camera), pixel_format=pixel_format)
         return cls(given, chosen, **objects, keep_s=keep_s, deterministic=deterministic)
 
     @property
@@ -322,7 +347,8 @@ class Pipeline:
         the image size.
         """
         self._use_estimates()
-        return None if self._parts is None else self._parts.current
+        parts = self._drive.parts
+        return None if parts is None else parts.current
 
     @property
     def latency_ms(self) -> dict[str, float]:
@@ -340,35 +366,145 @@ class Pipeline:
         far.
         """
         self._use_estimates()
-        boxes = self._boxes.notes()
-        if self._parts is None:
-            return boxes
-        unit = (
-            "time_s: the latest frames are more than 5 s apart, so no road user is tracked; give "
-            "time_s in seconds."
+        return self._notes()
+
+    @property
+    def health(self) -> Health:
+        """The notes as codes with a severity, by sensor, and since when each is known: for programs,
+        which should not depend on sentences. docs/how-to/robot.md has the codes.
+        """
+        self._use_estimates()
+        self._look_at_health()
+        return self._drive.health
+
+    def _notes(self) -> tuple[str, ...]:
+        drive, boxes = self._drive, self._boxes.notes()
+        of_parts = () if drive.parts is None else drive.parts.notes
+        return (*boxes, *drive.times.notes, *of_parts)
+
+    def _look_at_health(self) -> None:
+        drive = self._drive
+        drive.health = health_of(self._notes(), drive.health, drive.time_s)
+
+    def reset(self) -> None:
+        """Start another drive with the same cameras and networks: tracks, estimates, rows and times
+        are forgotten, so that the next frame may have any time.
+
+        An own tracker object is reset if it has `reset()`.
+        """
+        self._check_open()
+        parts = self._drive.parts
+        if parts is not None:
+            parts.stages.close()
+        if self._boxes.fixed_parts is not None:
+            self._boxes = replace(self._boxes, fixed_parts=FixedParts())
+        if self._boxes.far_pass is not None:
+            self._boxes.far_pass.restart()
+        if hasattr(self._tracker, "reset"):
+            self._tracker.reset()
+        self._drive = self._new_drive()
+
+    def state(self) -> PipelineState:
+        """What the pipeline knows after the last frame; `restore` makes a pipeline from it that goes
+        on in the same way. Waits for estimates in the background.
+
+        Networks are not part of it, nor are own detector and tracker objects.
+
+        Raises:
+            StateError: a part of another package cannot be pickled.
+        """
+        self._check_open()
+        drive = self._drive
+        sizes_px = None if drive.parts is None else drive.parts.calibration.sizes_px
+        opened_with = self._cameras, self.options, self._keep_s, self._is_deterministic, sizes_px
+        own = self._has_detector, self._tracker is not None
+        return PipelineState(
+            made_by=version("track-range"),
+            n_frames=drive.n_frames,
+            opened_with=dumped((opened_with, own), {}),
+            content=dumped((drive, self._boxes.far_pass), self._resources(drive.parts)),
         )
-        return (
-            *boxes,
-            *([unit] if self._n_long_steps == _N_LONG_STEPS else []),
-            *self._parts.notes,
+
+    @classmethod
+    def restore(
+        cls,
+        state: PipelineState,
+        *,
+        detector: ObjectDetector | None = None,
+        tracker: ObjectTracker | None = None,
+    ) -> Self:
+        """The pipeline of a `state()`: with `deterministic=True`, its results equal those of the
+        pipeline that made the state, if both get the same frames.
+
+        Args:
+            state: of the same version of track-range. It is in Python's pickle format: restore only
+                states of a source that you trust.
+            detector: the detector object, if the pipeline had one; a network is opened again.
+            tracker: the tracker object, if the pipeline had one.
+
+        Raises:
+            StateError: the state is of another version, or an object is missing.
+        """
+        check_version(state, version("track-range"))
+        opened_with, own = loaded(state.opened_with, {})
+        for name, had, given in zip(("detector", "tracker"), own, (detector, tracker), strict=True):
+            if had != (given is not None):
+                found = "none" if had else "one"
+                raise StateError(
+                    f"{name}: expected {'the' if had else 'no'} {name} object, as the pipeline of "
+                    f"the state was made, found {found}."
+                )
+        cameras, options, keep_s, deterministic, sizes_px = opened_with
+        pipeline = cls(
+            cameras,
+            options,
+            detector=detector,
+            tracker=tracker,
+            keep_s=keep_s,
+            deterministic=deterministic,
         )
+        fresh = None if sizes_px is None else pipeline._open(sizes_px)
+        drive, far_pass = loaded(state.content, pipeline._resources(fresh))
+        if fresh is not None:
+            fresh.stages.ranging.close(fresh.stages.clock)
+        pipeline._drive = drive
+        if far_pass is not None and pipeline._boxes.far_pass is not None:
+            vars(pipeline._boxes.far_pass).update(vars(far_pass))
+        return pipeline
+
+    def _resources(self, parts: _Parts | None) -> dict[str, object]:
+        """What a state does not contain, by name."""
+        own: dict[str, object] = {"background": self._background, "tracker": self._tracker}
+        if parts is None:
+            return own
+        stages = parts.stages
+        detection = stages.detection
+        networks = {name: getattr(detection, name) for name in ("detect", "prepare", "candidates")}
+        return {**own, **networks, "restarted": stages.restarted}
+
+    def _new_drive(self) -> _Drive:
+        return _Drive(RecentRows(self._keep_s, EventFinder(self.options.event_settings)))
+
+    def _check_open(self) -> None:
+        if self._is_closed:
+            raise UsageError("this pipeline is closed; create a new one for further frames.")
 
     def events(self) -> tuple[Event, ...]:
         """Events of the last `keep_s` seconds, including events in progress; times count from the
         first frame.
         """
-        return self._rows.events()
+        return self._drive.rows.events()
 
     def to_arrow(self) -> pa.Table:
         """Rows of the last `keep_s` seconds as in tracks.csv; times count from the first frame."""
-        return self._rows.to_arrow()
+        return self._drive.rows.to_arrow()
 
     def close(self) -> None:
         """End the threads; rows and events remain, but no frame may follow."""
         self._is_closed = True
         self._background.close()
-        if self._parts is not None:
-            self._parts.stages.close()
+        if self._drive.parts is not None:
+            self._drive.parts.stages.close()
 
     def __enter__(self) -> Self:
         return self
@@ -383,22 +519,47 @@ class Pipeline:
 
     @overload
     def step(
-        self, left: Image, right: Image | None, time_s: float, *, ego_speed_mps: float | None = None
+        self,
+        left: Image,
+        right: Image | None,
+        time_s: float | None = None,
+        *,
+        ego_speed_mps: float | None = None,
+        time_ns: int | None = None,
+        pixel_format: str | tuple[str, str] | None = None,
     ) -> FrameResult: ...
 
     @overload
     def step(
-        self, image: Image, time_s: float, /, *, ego_speed_mps: float | None = None
+        self,
+        image: Image,
+        time_s: float,
+        /,
+        *,
+        ego_speed_mps: float | None = None,
+        pixel_format: str | None = None,
     ) -> FrameResult: ...
 
     @overload
     def step(
-        self, left: Image, *, time_s: float, ego_speed_mps: float | None = None
+        self,
+        left: Image,
+        *,
+        time_s: float | None = None,
+        ego_speed_mps: float | None = None,
+        time_ns: int | None = None,
+        pixel_format: str | None = None,
     ) -> FrameResult: ...
 
     @overload
     def step(
-        self, *, image: Image, time_s: float, ego_speed_mps: float | None = None
+        self,
+        *,
+        image: Image,
+        time_s: float | None = None,
+        ego_speed_mps: float | None = None,
+        time_ns: int | None = None,
+        pixel_format: str | None = None,
     ) -> FrameResult: ...
 
     @KeywordsInErrors(RunSettings)
@@ -410,19 +571,23 @@ class Pipeline:
         *,
         image: Image | None = None,
         ego_speed_mps: float | None = None,
+        time_ns: int | None = None,
+        pixel_format: str | tuple[str, str] | None = None,
     ) -> FrameResult:
         """Result of the next frame: `step(left, right, time_s)`, of one camera `step(image, time_s)`.
 
         Args:
-            left: image of the left or only camera, (H, W, 3) uint8 BGR or (H, W) uint8, as recorded
-                (not rectified, unless the rig is). The images are not copied: do not change them
-                afterwards.
+            left: image of the left or only camera, (H, W, 3) uint8 BGR or (H, W) uint8, or in the
+                `pixel_format`, as recorded (not rectified, unless the rig is). The images are not
+                copied: do not change them afterwards.
             right: image of the right camera at the same time; left out or None for one camera.
             time_s: time of the images in seconds on any clock; must increase. Times in results
                 count from the first frame.
             image: another name of `left` for one camera.
             ego_speed_mps: speed of the camera along its axis, with `mount` that of the vehicle,
                 negative = backwards; None or NaN = measured from the images.
+            time_ns: the time in whole nanoseconds, as ROS has it, in place of `time_s`.
+            pixel_format: format of the images of this frame, in place of that of the pipeline.
 
         Raises:
             FrameError: an image has another size or type than the first image, the time does not
@@ -432,25 +597,28 @@ class Pipeline:
                 something else.
         """
         called_s = time.monotonic(), time.time()
-        if self._is_closed:
-            raise UsageError("this pipeline is closed; create a new one for further frames.")
-        images, time_s = self._arguments(left, right, time_s, image)
+        self._check_open()
+        images, time_s = self._arguments(left, right, time_s, image, pixel_format)
         known = _known_motion(ego_speed_mps)
-        time_s = self._checked_time(time_s)
-        result = self._result(images, time_s, known)
-        is_long = self._index > 0 and time_s - self._last_s > _LONG_STEP_S
-        self._n_long_steps = min(self._n_long_steps + 1, _N_LONG_STEPS) if is_long else 0
-        self._last_s = time_s
-        self._index += 1
-        self._rows.add(result)
+        drive = self._drive
+        moment = drive.times.moment(time_s, time_ns)
+        result = self._result(images, moment, known)
+        drive.times.add(moment)
+        drive.n_frames += 1
+        drive.rows.add(result)
+        drive.time_s = result.time_s
+        if drive.time_s >= drive.checked_s + _HEALTH_S:
+            drive.checked_s = drive.time_s
+            self._look_at_health()
+        clock_s = moment.clock_s
         waited_s = next(
-            (now_s - time_s for now_s in called_s if abs(now_s - time_s) < _SAME_CLOCK_S), 0.0
+            (now_s - clock_s for now_s in called_s if abs(now_s - clock_s) < _SAME_CLOCK_S), 0.0
         )
         self._latencies_s.append(max(waited_s, 0.0) + time.monotonic() - called_s[0])
         return result
 
     def _arguments(
-        self, left: Any, right: Any, time_s: Any, image: Any
+        self, left: Any, right: Any, time_s: Any, image: Any, pixel_format: Any
     ) -> tuple[dict[str, Image], Any]:
         """The checked images by name, and the time, of the two ways to call `step`."""
         if self._cameras.is_pair:
@@ -464,44 +632,41 @@ class Pipeline:
                     "Pipeline.stereo for two cameras."
                 )
             named = {"image": left if image is None else image}
+        formats = _formats(pixel_format or self._cameras.pixel_format)
         checked = {
-            name: _checked(one, name, is_left=name != "right") for name, one in named.items()
+            name: _checked(one, name, formats["right" if name == "right" else "left"])
+            for name, one in named.items()
         }
         return checked, time_s
 
-    def _checked_time(self, time_s: Any) -> float:
-        """The time of a frame after the last one."""
-        if not _is_number(time_s) or not self._last_s < time_s < math.inf:
-            after = f" after {self._last_s} s, the time of the last frame" if self._index else ""
-            raise FrameError(f"time_s: expected a time in seconds{after}, found {time_s!r}.")
-        return float(time_s)
-
     def _result(
-        self, images: Mapping[str, Image], time_s: float, known: EgoMotion | None
+        self, images: Mapping[str, Image], moment: Moment, known: EgoMotion | None
     ) -> FrameResult:
         """The result of images; after an error, the pipeline is as before."""
-        parts = self._parts
+        drive = self._drive
+        parts = drive.parts
         if parts is None:
             parts = self._open(tuple((one.shape[1], one.shape[0]) for one in images.values()))
         parts.check_sizes(images)
-        first_s = time_s if math.isnan(self._first_s) else self._first_s
-        recorded = RecordedFrame(self._index, time_s - first_s, tuple(images.values()))
+        time_s = drive.times.since_first_s(moment)
+        recorded = RecordedFrame(drive.n_frames, time_s, tuple(images.values()))
         try:
             result = parts.step(recorded, known)
         except BaseException:
             # a first frame that is refused does not fix the size of the images
-            if self._parts is None:
+            if drive.parts is None:
                 parts.stages.close()
             raise
-        self._parts, self._first_s = parts, first_s
+        drive.parts = parts
         if parts.aligner is not None:
             parts.aligner.estimate()
         return result
 
     def _use_estimates(self) -> None:
         """Use the estimates of the alignment that are ready."""
-        if self._parts is not None and self._parts.aligner is not None:
-            self._parts.aligner.use_estimates()
+        parts = self._drive.parts
+        if parts is not None and parts.aligner is not None:
+            parts.aligner.use_estimates()
 
     def _open(self, sizes_px: tuple[tuple[int, int], ...]) -> _Parts:
         cameras = self._cameras.models
@@ -545,8 +710,22 @@ def _known_motion(ego_speed_mps: float | None) -> EgoMotion | None:
     return None if math.isnan(ego_speed_mps) else EgoMotion(float(ego_speed_mps), TABLE_SIGMA_MPS)
 
 
-def _checked(image: Any, name: str, *, is_left: bool) -> Image:
+def _formats(
+    pixel_format: str | tuple[str, str] | None,
+) -> dict[str, str | None]:
+    """The pixel formats of the left or only, and of the right camera; None = BGR or grey."""
+    if isinstance(pixel_format, tuple | list) and len(pixel_format) == 2:
+        left, right = pixel_format
+        return {"left": left, "right": right}
+    if pixel_format is None or isinstance(pixel_format, str):
+        return {"left": pixel_format, "right": pixel_format}
+    raise ConfigError(f"pixel_format: expected a name, of a pair also two, found {pixel_format!r}.")
+
+
+def _checked(image: Any, name: str, pixel_format: str | None) -> Image:
     """An image as (H, W, 3) uint8 BGR; a right image may be grey."""
+    if pixel_format is not None:
+        return bgr_of(image, pixel_format, name, keeps_grey=name == "right")
     if (
         not isinstance(image, np.ndarray)
         or image.dtype != np.uint8
@@ -559,12 +738,13 @@ def _checked(image: Any, name: str, *, is_left: bool) -> Image:
             else type(image).__name__
         )
         raise FrameError(
-            f"{name}: expected an image, uint8 (H, W, 3) in BGR or (H, W), found {got}."
+            f"{name}: expected an image, uint8 (H, W, 3) in BGR or (H, W), found {got}; name other "
+            "formats by pixel_format."
         )
     if image.ndim == 3 and image.shape[2] != 3:
-        raise FrameError(f"{name}: expected 3 channels in BGR, found {image.shape[2]}.")
-    return (
-        np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
-        if image.ndim == 2 and is_left
-        else image
-    )
+        raise FrameError(
+            f"{name}: expected 3 channels in BGR, found {image.shape[2]}; name other formats by "
+            "pixel_format."
+        )
+    is_grey_left = image.ndim == 2 and name != "right"
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)) if is_grey_left else image

@@ -5,6 +5,7 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 from track_range.pipeline.frame_result import FrameResult
+from track_range.pipeline.health import health_of
 from track_range.pipeline.throughput import FrameMeter
 from track_range.results.events.finder import EventFinder
 from track_range.results.rows.rows import Rows
@@ -103,6 +104,7 @@ class RunSession:
         )
         facts = {
             "notes": self.notes,
+            "health": health_of(self.notes).to_list(),
             "inputs": self.origin.inputs,
             "files": dict(videos),
         }

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from track_range.foundation.errors import Note
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.alignment.from_drive import DriveAlignment
 from track_range.stereo.alignment.health import Move, RigHealth, Window
@@ -60,18 +61,39 @@ class PairAlignment:
         health, m = self.health, self.measured
         if health is None:
             rows = (
-                f"Left and right have a vertical offset of {m.row_offset_px:+.1f} px, which is "
-                "corrected.",
+                Note(
+                    f"Left and right have a vertical offset of {m.row_offset_px:+.1f} px, which is "
+                    "corrected.",
+                    "rows-corrected",
+                    "ok",
+                    "pair",
+                ),
             )
-            return (self.applied.sentence(), *(rows if m.row_correction_px else ()))
+            return (
+                Note(self.applied.sentence(), "alignment", "ok", "pair"),
+                *(rows if m.row_correction_px else ()),
+            )
         rows = (
-            f"Left and right have a vertical offset of {m.row_offset_px:+.1f} px (roll "
-            f"{m.roll_deg:+.2f} degrees, focal length of the right camera "
-            f"{100 * (m.focal_ratio - 1):+.1f} %): it is corrected, but the rig does not fit these "
-            "videos well; calibrate again.",
+            Note(
+                f"Left and right have a vertical offset of {m.row_offset_px:+.1f} px (roll "
+                f"{m.roll_deg:+.2f} degrees, focal length of the right camera "
+                f"{100 * (m.focal_ratio - 1):+.1f} %): it is corrected, but the rig does not fit these "
+                "videos well; calibrate again.",
+                "rig-does-not-fit",
+                "warning",
+                "pair",
+            ),
         )
-        rig = (health.sentence(),) if m.is_measured or health.has_row_error else ()
-        return (self.applied.sentence(), *rig, *(rows if health.has_row_error else ()))
+        rig = (
+            (Note(health.sentence(), "rig", "ok", "pair"),)
+            if m.is_measured or health.has_row_error
+            else ()
+        )
+        return (
+            Note(self.applied.sentence(), "alignment", "ok", "pair"),
+            *rig,
+            *(rows if health.has_row_error else ()),
+        )
 
     @property
     def health(self) -> RigHealth | None:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.errors import Note
 from track_range.foundation.files.input_files import alternatives
 from track_range.recording.cameras.auto_alignment import PairAlignment
 from track_range.recording.cameras.camera_estimate import CameraEstimate
@@ -194,6 +195,7 @@ class RecordingCalibration:
         """Messages for the user on the calibration, its alignment and the focal length."""
         alignment = () if self.alignment is None else self.alignment.notes
         focal = () if self.focal is None else self._focal_notes(self.focal)
+        focal = tuple(Note(text, "uncalibrated", "warning", "calibration") for text in focal)
         return (*self.search_notes, *self.file_notes, *self._pixel_notes(), *alignment, *focal)
 
     def _pixel_notes(self) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ from contextlib import suppress
 from typing import NamedTuple
 
 from track_range.foundation.background import Background, InThreads
+from track_range.foundation.errors import Note
 from track_range.stereo.alignment.from_drive import MIN_STEP_S
 from track_range.stereo.alignment.pair_evidence import PairEvidence, PairFigures
 from track_range.stereo.alignment.pair_finding import PairFinding, find_fault
@@ -20,9 +21,12 @@ _WAIT_S = 0.4  # longest time between two pairs, without motion
 _WAIT_AT_REST_S = 1.0  # the same after the first explanation, which lacks the evidence of motion
 MAX_FRAMES = round(MAX_CHECKED_PAIRS * _WAIT_S / MIN_STEP_S)  # number of frames with so many pairs
 
-_UNMATCHED = (
+_UNMATCHED = Note(
     "The rig could not be checked: left and right have too few matching points in equal rows in "
-    f"the first {MAX_CHECKED_PAIRS} pairs; check that the two videos and the rig belong together."
+    f"the first {MAX_CHECKED_PAIRS} pairs; check that the two videos and the rig belong together.",
+    "pair-unmatched",
+    "error",
+    "pair",
 )
 _MIN_ROW_FRACTION = 0.5  # of the matches of an uncalibrated pair that has equal rows
 _MAX_ROW_OFFSET_PX = 1.5  # vertical offset above which the user is warned if it is not corrected
@@ -196,11 +200,16 @@ class PairMonitor:
         if finding.fault == "unknown":
             return (_UNMATCHED,)
         if finding.sentence:
-            return (finding.sentence,)
+            return (finding.note,)
         row_px = self._view.row_offset_px - corrected_px
         if finding.fault == "unsteady" or abs(row_px) <= _MAX_ROW_OFFSET_PX:
             return ()
         return (
-            f"Left and right have a vertical offset of {row_px:+.1f} px: the rig does not fit "
-            "these videos well, so stereo distances are less accurate; calibrate again.",
+            Note(
+                f"Left and right have a vertical offset of {row_px:+.1f} px: the rig does not fit "
+                "these videos well, so stereo distances are less accurate; calibrate again.",
+                "rig-does-not-fit",
+                "warning",
+                "pair",
+            ),
         )

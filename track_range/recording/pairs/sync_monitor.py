@@ -24,6 +24,7 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import Image
+from track_range.foundation.errors import Note
 from track_range.foundation.files.input_files import counted
 from track_range.stereo.alignment.sync_check import Lag, measured_lag
 from track_range.stereo.geometry.frames import Frame, ImageView, whole_image
@@ -420,30 +421,42 @@ def _sentence(group: list[SyncFinding]) -> str:
     when += f" in {len(group)} parts of the drive" if len(group) > 1 else ""
     off = "stereo distances of these frames are off"
     if first.kind == "repeated":
-        return (
+        return Note(
             f"The {first.side} video repeats its last image while the other video moves ({when}): "
-            f"{off}; check the {first.side} camera and its recording."
+            f"{off}; check the {first.side} camera and its recording.",
+            "images-repeated",
+            "error",
+            first.side,
         )
     if first.kind == "uniform":
-        return (
+        return Note(
             f"The {first.side} images are black or uniform, while the other images are not "
             f"({when}): {off}; check the lens, the exposure and the cable of the {first.side} "
-            "camera."
+            "camera.",
+            "images-dark",
+            "error",
+            first.side,
         )
     if first.kind == "apart":
-        return (
+        return Note(
             f"Left and right do not show the same moment ({when}), and no lag of up to {MAX_LAG} "
             f"frames explains it: {off}; check the timestamps, and that the two videos belong "
-            "together."
+            "together.",
+            "pair-not-simultaneous",
+            "error",
+            "pair",
         )
     done = (
         off
         if first.action == "stereo off"
         else "left frames are paired with right frames of the same moment"
     )
-    return (
+    return Note(
         f"Left and right are not synchronised: the {first.side} video lags by "
         f"{counted(first.lag_frames, 'frame')} ({when}; found from the vertical motion of the "
         f"images): {done}; check for dropped and repeated frames and correct the timestamps, or "
-        "use a hardware trigger."
+        "use a hardware trigger.",
+        "pair-lags",
+        "warning",
+        "pair",
     )

@@ -30,6 +30,10 @@ class VideoError(UserError):
     """A video that cannot be read, paired or written; the message names the path and what to do."""
 
 
+class FrameError(UserError, ValueError):
+    """An image or a time of a frame in memory that cannot be used; a pipeline is as before."""
+
+
 @dataclass(frozen=True, slots=True)
 class DecodedImage:
     """A frame in the decoder's native format, which takes less memory than BGR."""

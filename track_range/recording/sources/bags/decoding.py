@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache
 from typing import Any, cast
 
 import av
 import cv2
 import numpy as np
-import numpy.typing as npt
 from av.video.codeccontext import VideoCodecContext
 
 from track_range.foundation.arrays import Image
@@ -24,7 +23,8 @@ from track_range.recording.sources.bags.container import (
     decompressed,
     library,
 )
-from track_range.recording.video.frame import bgr_image, stated_pixel_aspect
+from track_range.recording.video.frame import FrameError, bgr_image, stated_pixel_aspect
+from track_range.recording.video.pixel_formats import decoded_image
 from track_range.stereo.rig_formats.camera_info import CameraInfo
 
 COMPRESSED_TYPES = (
@@ -42,26 +42,6 @@ CALIBRATION_TYPES = (
 )
 """Types of messages that are read."""
 
-# bytes per pixel and conversion to BGR; None = none
-_ENCODINGS: Mapping[str, tuple[int, int | None]] = {
-    "bgr8": (3, None),
-    "8UC3": (3, None),
-    "rgb8": (3, cv2.COLOR_RGB2BGR),
-    "bgra8": (4, cv2.COLOR_BGRA2BGR),
-    "8UC4": (4, cv2.COLOR_BGRA2BGR),
-    "rgba8": (4, cv2.COLOR_RGBA2BGR),
-    "mono8": (1, cv2.COLOR_GRAY2BGR),
-    "8UC1": (1, cv2.COLOR_GRAY2BGR),
-    "mono16": (2, cv2.COLOR_GRAY2BGR),
-    "bayer_rggb8": (1, cv2.COLOR_BayerRGGB2BGR),
-    "bayer_bggr8": (1, cv2.COLOR_BayerBGGR2BGR),
-    "bayer_gbrg8": (1, cv2.COLOR_BayerGBRG2BGR),
-    "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2BGR),
-    "yuv422": (2, cv2.COLOR_YUV2BGR_UYVY),
-    "uyvy": (2, cv2.COLOR_YUV2BGR_UYVY),
-    "yuv422_yuy2": (2, cv2.COLOR_YUV2BGR_YUY2),
-    "yuyv": (2, cv2.COLOR_YUV2BGR_YUY2),
-}
 _DEPTH = ("16UC1", "32FC1", "compressedDepth")  # in the encodings of depth images (REP 118)
 _VIDEO_CODECS = {"h264": "h264", "h265": "hevc"}
 
@@ -119,6 +99,8 @@ class ImageDecoder:
                 self._codec.thread_count = 1
             frames = self._codec.decode(av.Packet(content))
             return bgr_image(frames[-1]) if frames else None
+        except FrameError as error:
+            raise DamagedError(str(error).rstrip(".")) from error
         except (*DAMAGE, cv2.error, av.FFmpegError) as error:
             raise DamagedError(str(error)[:80]) from error
 
@@ -188,29 +170,13 @@ def _compressed_image(content: bytes) -> Image:
 
 
 def _raw_image(message: Any) -> Image:
-    encoding, step = str(message.encoding), int(message.step)
-    height, width = int(message.height), int(message.width)
-    if encoding not in _ENCODINGS:
-        raise DamagedError(
-            f"encoding {quoted(encoding, 20)}, expected one of "
-            f"{', '.join(list(_ENCODINGS)[:7])}, ..."
-        )
-    n_bytes, code = _ENCODINGS[encoding]
-    data = np.frombuffer(memoryview(message.data), np.uint8)
-    if not (
-        0 < width * height <= MAX_PIXELS and step >= width * n_bytes and data.size >= step * height
-    ):
-        raise DamagedError(f"{width}x{height} pixels in {data.size} bytes")
-    rows = np.ascontiguousarray(data[: step * height].reshape(height, step)[:, : width * n_bytes])
-    if encoding == "mono16":
-        order = ">u2" if getattr(message, "is_bigendian", False) else "<u2"
-        pixels: npt.NDArray[Any] = (rows.view(order) >> 8).astype(np.uint8)
-    else:
-        pixels = rows.reshape((height, width) if n_bytes == 1 else (height, width, n_bytes))
-    return (
-        pixels.astype(np.uint8)
-        if code is None
-        else cv2.cvtColor(pixels, code).astype(np.uint8, copy=False)
+    return decoded_image(
+        message.data,
+        str(message.encoding),
+        int(message.width),
+        int(message.height),
+        step=int(message.step),
+        is_bigendian=bool(getattr(message, "is_bigendian", False)),
     )
 
 
