@@ -60,7 +60,7 @@ class OnnxSession:
     def __init__(self, path: Path, runtime: Runtime | None = None) -> None:
         self.path = path
         self.notes: tuple[str, ...] = ()
-        runtime = runtime or Runtime()
+        self._runtime = runtime = runtime or Runtime()
         check_model_file(path)
         with _library_errors(path, "not a usable ONNX model"):
             self._session, self.device, reason = open_session(
@@ -89,7 +89,7 @@ class OnnxSession:
         self.metadata: Mapping[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return OnnxSession, (self.path, Runtime(n_threads=self._n_threads, device=self.device))
+        return OnnxSession, (self.path, self._runtime)
 
     def inputs(self, blob: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
         """All inputs by name, for an input blob (batch, 3, height, width) of the network's type."""

@@ -400,8 +400,9 @@ class Pipeline:
             self._boxes = replace(self._boxes, fixed_parts=FixedParts())
         if self._boxes.far_pass is not None:
             self._boxes.far_pass.restart()
-        if hasattr(self._tracker, "reset"):
-            self._tracker.reset()
+        reset_tracker = getattr(self._tracker, "reset", None)
+        if reset_tracker is not None:
+            reset_tracker()
         self._drive = self._new_drive()
 
     def state(self) -> PipelineState:
@@ -449,10 +450,10 @@ class Pipeline:
         opened_with, own = loaded(state.opened_with, {})
         for name, had, given in zip(("detector", "tracker"), own, (detector, tracker), strict=True):
             if had != (given is not None):
-                found = "none" if had else "one"
+                given_now = "none" if had else "one"
                 raise StateError(
                     f"{name}: expected {'the' if had else 'no'} {name} object, as the pipeline of "
-                    f"the state was made, found {found}."
+                    f"the state was made, found {given_now}."
                 )
         cameras, options, keep_s, deterministic, sizes_px = opened_with
         pipeline = cls(

@@ -70,7 +70,7 @@ def test_a_restored_pipeline_goes_on_like_the_one_that_was_not_interrupted(
     pairs = images(drive)
     with opened() as whole:
         wanted = [step(whole, pair, 0.1 * k) for k, pair in enumerate(pairs[: AT + 1])]
-        state = pickle.loads(pickle.dumps(whole.state()))
+        state = pickle.loads(pickle.dumps(whole.state()))  # noqa: S301 - our own
         wanted += [step(whole, pair, 0.1 * k) for k, pair in enumerate(pairs) if k > AT]
         table, notes = whole.to_arrow(), whole.notes
     assert state.n_frames == AT + 1
