@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         FrameResult as FrameResult,
         TrackedObject as TrackedObject,
     )
+    from track_range.pipeline.state import PipelineState as PipelineState
     from track_range.ranging.filtering.distance_filter import DistanceFilters as DistanceFilters
     from track_range.ranging.filtering.lateral_motion import LateralFilters as LateralFilters
     from track_range.ranging.fusion.fusion import Fusion as Fusion
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from track_range.ranging.warning.collision_warning import CollisionWarning as CollisionWarning
     from track_range.ranging.warning.settings import WarningSettings as WarningSettings
     from track_range.ranging.warning.warnings import Warnings as Warnings
+    from track_range.recording.video.pixel_formats import decoded_image as decoded_image
     from track_range.results.events.event import Event as Event
     from track_range.results.events.files import read_events as read_events
     from track_range.results.writers import register_writer as register_writer
