@@ -36,6 +36,7 @@ def frame(index: int) -> Any:
         name: getattr(given, name)[1:]
         for name in ("closing_mps", "closing_sigma_mps", "ttc_s", "ttc_sigma_s", "xyz_m")
     }
+    rows["xy_sigma_m"] = given.world.xy_sigma_m[1:]
     ranges = {name: replace(r, track_id=r.track_id[1:], distance_m=r.distance_m[1:], sigma_m=r.sigma_m[1:])
               for name, r in given.ranges.items()}  # fmt: skip
     warnings = given.warnings.select(slice(1, None))

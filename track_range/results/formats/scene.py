@@ -14,12 +14,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from track_range.detection.classes import ROAD_CLASSES
+from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import shortened
 from track_range.foundation.library_telemetry import disable_telemetry
 from track_range.pipeline.colours import track_colour, warning_colour
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.world.ego_path import EgoPose
+from track_range.ranging.world.placement import point_covariance
 from track_range.results.rows.column import ResultColumn
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.mounting import Mounting
@@ -47,6 +49,7 @@ class TrackObject:
     figures: Mapping[str, float]  # the known values of `viewer_columns`, by name with unit
     centre_m: tuple[float, float, float]  # of the cuboid in the camera frame
     size_m: tuple[float, float, float]  # width (x), height (y) and nominal length (z) of the cuboid
+    covariance_m2: FloatArray  # (3, 3) of the measured point in the camera frame; NaN = unknown
     rgb: tuple[int, int, int]  # 0 to 255; red and amber shortly before a predicted collision
 
     def figure(self, name: str) -> float:
@@ -90,6 +93,8 @@ def track_objects(
     width_m, height_m = (x2 - x1) / camera.fx_px * distance_m, (y2 - y1) / camera.fy_px * distance_m
     centre_m = np.column_stack([centre_x_m, centre_y_m, distance_m + length_m / 2])
     size_m = np.column_stack([width_m, height_m, length_m])
+    sigma_m = figures["sigma_m"]
+    covariance_m2 = point_covariance(result.xyz_m, result.world.xy_sigma_m, sigma_m)
     for i, track_id in enumerate(tracks.track_id.tolist()):
         blue, green, red = warning_colour(result, i) or track_colour(track_id)
         yield TrackObject(
@@ -100,6 +105,7 @@ def track_objects(
             xyxy_px=tuple(tracks.xyxy_px[i].tolist()),
             centre_m=tuple(centre_m[i].tolist()),
             size_m=tuple(size_m[i].tolist()),
+            covariance_m2=covariance_m2[i],
             rgb=(red, green, blue),
             figures={
                 name: float(values[i]) for name, values in figures.items() if np.isfinite(values[i])

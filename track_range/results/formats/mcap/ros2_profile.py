@@ -36,7 +36,7 @@ _DETECTION = (
     "bbox\nstring id"
 )
 
-_VISION_MESSAGES = {  # of vision_msgs 4 (ROS 2 Humble and later), which rosbags does not contain
+VISION_MESSAGES = {  # of vision_msgs 4 (ROS 2 Humble and later), which rosbags does not contain
     "Point2D": "float64 x\nfloat64 y",
     "Pose2D": "vision_msgs/Point2D position\nfloat64 theta",
     "BoundingBox2D": "vision_msgs/Pose2D center\nfloat64 size_x\nfloat64 size_y",
@@ -61,7 +61,8 @@ _TYPES = {
 }
 
 _INFO = 20  # level of information in rcl_interfaces/Log
-_UNKNOWN_VARIANCE = -1.0  # of a pose, as ROS drivers mark it
+_UNKNOWN_VARIANCE = -1.0  # of a position, as ROS drivers mark it
+_UNKNOWN_ROTATION = 1e6  # variance of the orientation, which the images do not show
 
 
 class Ros2Profile:
@@ -72,7 +73,7 @@ class Ros2Profile:
     def __init__(self, camera: PinholeCamera, mounting: Mounting | None = None) -> None:
         self._camera, self._mounting = camera, mounting
         self._store = get_typestore(Stores.ROS2_HUMBLE)
-        for name, text in _VISION_MESSAGES.items():
+        for name, text in VISION_MESSAGES.items():
             self._store.register(get_types_from_msg(text, f"vision_msgs/msg/{name}"))
 
     def schema(self, topic: str) -> tuple[str, str, bytes, str]:
@@ -196,11 +197,9 @@ class Ros2Profile:
 
     def _detection(self, kind: str, shown: scene.TrackObject, header: Any, box: Any) -> Any:
         """Box with its class and score, the cuboid's centre and the variance of the distance."""
-        covariance = np.zeros(36)
-        # z, z
-        covariance[14] = (
-            shown.figures["sigma_m"] ** 2 if "sigma_m" in shown.figures else _UNKNOWN_VARIANCE
-        )
+        covariance = np.diag([_UNKNOWN_VARIANCE] * 3 + [_UNKNOWN_ROTATION] * 3)
+        if np.isfinite(shown.covariance_m2).all():
+            covariance[:3, :3] = shown.covariance_m2
         pose = self._pose(*(shown.centre_m if shown.is_ranged else (0.0, 0.0, 0.0)))
         result = self._new(
             "vision_msgs/msg/ObjectHypothesisWithPose",
@@ -208,7 +207,7 @@ class Ros2Profile:
                 "vision_msgs/msg/ObjectHypothesis", class_id=shown.class_name, score=shown.score
             ),
             pose=self._new(
-                "geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance
+                "geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance.ravel()
             ),
         )
         return self._new(
