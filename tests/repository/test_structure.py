@@ -255,6 +255,7 @@ MOST_STATEMENTS = {
     # paired errors of two runs, and intervals in tables (55)
     "views": 2_738,
     "track_range": 102,  # a module of errors and one of evaluations, each with its names for type checkers (18)
+    # names of states and pixel formats (3)
 }
 
 
