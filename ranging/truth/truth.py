@@ -12,6 +12,7 @@ COCO, CVAT and YOLO labels are used as they are; they may have distances, as att
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -31,8 +32,10 @@ from track_range.detection.formats.tables.table_checks import (
 from track_range.detection.formats.video_labels.csv_labels import is_label_csv, read_csv_labels
 from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.files.input_files import first_line
 from track_range.ranging.truth.label_camera import camera_of_labels
 from track_range.ranging.truth.reference_distance import surface_distance_m
+from track_range.ranging.truth.target_table import TargetTable, is_target_table, read_targets
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.rig_formats.reading import left_from_reference_m, load_camera
 
@@ -62,6 +65,10 @@ LABELS_PROTOCOL = (  # ground truth of COCO, CVAT and YOLO labels
     "distance of the labels, if they have one (labels at 5-100 m, not truncated by the image "
     f"border; {_SCORED})"
 )
+TARGETS_PROTOCOL = (  # ground truth of targets without boxes
+    "distance of the targets, matched to whole tracks by distance, offset to the side and speed "
+    "(at 5-100 m; coverage: measured track-frames divided by matched track-frames)"
+)
 _CAMERA_OF_RUN = (
     "{name}: too few labels show their camera, so that the true distances follow from the camera of "
     "the run; give --truth-calib."
@@ -86,6 +93,9 @@ class Truth:
     notes: tuple[str, ...] = ()  # notes for the user about the file
     has_low_labels: bool = False  # whether labels and tracks below 25 px count
     kitti: KittiLabels | None = None  # all labels of a file of KITTI, for its benchmark's rules
+    # targets without boxes, which rows of a run are matched to; then there are no labels
+    targets: TargetTable | None = None
+    right_m: FloatArray | None = None  # (N,) offset of matched targets to the right; NaN = unknown
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -95,27 +105,62 @@ class Truth:
         return replace(self, **{name: getattr(self, name)[rows] for name in _COLUMNS})
 
 
+@dataclass(frozen=True, slots=True)
+class TruthChoices:
+    """What a user gave about the ground truth besides its file; None = not given."""
+
+    calib: Path | None = None  # of the camera of KITTI's labels
+    poses: Path | None = None  # of targets in a map
+    ahead_m: float = 0.0  # position of the sensor of targets ahead of the camera
+    offset_s: float | None = None  # time of the video minus that of the targets
+
+
 def read_truth(
     path: Path,
     camera: PinholeCamera,
     left_from_reference_m: FloatArray,
-    calib: Path | None = None,
+    given: TruthChoices | None = None,
 ) -> Truth:
-    """Ground truth for the left `camera` (undistorted) from a file of labels in any format, or a
-    folder of YOLO labels.
+    """Ground truth for the left `camera` (undistorted) from a file of labels in any format, a folder
+    of YOLO labels, or a table of targets without boxes.
 
     `left_from_reference_m` (3,) is the shift from the frame of KITTI's reference camera to the left
-    camera's frame. The distances of KITTI's labels are those of the camera of `calib`, else of the
-    one that the labels determine, and only else of `camera`. Raises RigError: `calib` cannot be
-    used. Raises LabelFileError if the file cannot be read, or has no identities, or no
+    camera's frame. The distances of KITTI's labels are those of the given camera, else of the one
+    that the labels determine, and only else of `camera`. Raises RigError: the given calibration
+    cannot be used. Raises LabelFileError if the file cannot be read, or has no identities, or no
     distances (KITTI: no 3-D boxes), which are optional for COCO, CVAT and YOLO.
     """
+    given = given or TruthChoices()
+    if not os.path.isdir(path) and is_target_table(_first_cells(path)):
+        return _of_targets(path, given)
     if os.path.isdir(path) or label_format_of(path, "ground truth").is_general:
         return _of_table(path, camera)
     return (
         _of_csv(path, camera)
         if is_label_csv(path)
-        else _of_kitti(path, _Views((camera, left_from_reference_m), calib))
+        else _of_kitti(path, _Views((camera, left_from_reference_m), given.calib))
+    )
+
+
+def _first_cells(path: Path) -> list[str]:
+    first = first_line(path, LabelFileError, "ground truth")
+    return re.split("[,;\t]", first)
+
+
+def _of_targets(path: Path, given: TruthChoices) -> Truth:
+    """Ground truth without labels, whose targets are matched to the rows of a run."""
+    targets = read_targets(path, poses=given.poses, ahead_m=given.ahead_m, offset_s=given.offset_s)
+    none, nothing, text = np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.str_)
+    return Truth(
+        frame=none,
+        track_id=none,
+        kitti_type=text,
+        class_id=none,
+        xyxy_px=np.zeros((0, 4)),
+        distance_m=nothing,
+        closing_mps=nothing,
+        protocol=TARGETS_PROTOCOL,
+        targets=targets,
     )
 
 

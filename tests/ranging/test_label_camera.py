@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from track_range.foundation.arrays import FloatArray
-from track_range.ranging.truth.truth import Truth, read_truth
+from track_range.ranging.truth.truth import Truth, TruthChoices, read_truth
 from track_range.stereo.geometry.camera import PinholeCamera
 
 SIZE_PX = (1242, 375)
@@ -48,10 +48,10 @@ def written(path: Path, *, n: int, noise_px: float) -> Path:
     return path
 
 
-def truths(path: Path, **calib: Path) -> tuple[Truth, Truth]:
+def truths(path: Path, calib: Path | None = None) -> tuple[Truth, Truth]:
     """The ground truth of a run with the right camera, and of one with another camera."""
-    right = read_truth(path, TRUE, SHIFT_M, **calib)
-    return right, read_truth(path, OF_RUN, NO_SHIFT, **calib)
+    given = TruthChoices(calib=calib)
+    return read_truth(path, TRUE, SHIFT_M, given), read_truth(path, OF_RUN, NO_SHIFT, given)
 
 
 def test_true_distances_do_not_depend_on_the_camera_of_the_run(tmp_path: Path) -> None:

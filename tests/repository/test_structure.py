@@ -116,6 +116,7 @@ MOST_STATEMENTS = {
     # the camera that labels determine (50)
     # intervals of distances and closing speeds (10)
     # positions and velocities with covariances, in the axes of the vehicle, and sizes of classes (100)
+    # tables of targets without boxes, their matching and the offset of clocks (150)
     "ranging": 7_758,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
@@ -222,6 +223,7 @@ MOST_STATEMENTS = {
     # a finished run is evaluated again (20)
     # scenarios of events, whose parameters vary them (76), and clips that events know (20)
     # columns in the axes of the vehicle, and transforms with a mounting (39)
+    # rows of targets without boxes (30)
     "results": 2_899,
     # imports of one file for each idea of the settings (45); the parts of a run report, each in a class
     # of its own with what it imports (205); the options of its recording (15); notes on packages
@@ -243,6 +245,7 @@ MOST_STATEMENTS = {
     # options of the lens and of the tracker's threshold, and results of other recordings (35)
     # a scenario of each event (27), stages of options, and sources of boxes from elsewhere (9)
     # state, restore, reset and health of pipelines, and images by pixel format (105)
+    # options of the ground truth (15)
     "run": 2_729,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that
     # look to any side from any place of the vehicle (24)

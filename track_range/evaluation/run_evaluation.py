@@ -43,8 +43,8 @@ def evaluate_run(settings: RunEvaluationSettings) -> dict[str, Any]:
     """
     run = read_run_folder(settings.folder, has_events=False)
     names = TruthOptions.model_fields
-    chosen = settings.model_dump(mode="json", include=set(names), exclude_none=True)
-    for name in {"truth", "truth_calib"} & chosen.keys():
+    chosen = settings.model_dump(mode="json", include=set(names), exclude_defaults=True)
+    for name in {"truth", "truth_calib", "truth_poses"} & chosen.keys():
         chosen[name] = os.fspath(real_path(Path(chosen[name])))
     given = chosen if settings.truth else {**run.settings, **chosen}
     if not given.get("truth"):
@@ -58,7 +58,7 @@ def evaluate_run(settings: RunEvaluationSettings) -> dict[str, Any]:
         "settings": {name: given[name] for name in names if name in given},
         "frames": len(frames),
         **truth_figures(run.rows, matched, methods, frames, settings.seed),
-        "notes": [*run.missing, *truth.notes],
+        "notes": [*run.missing, *matched.truth.notes],
     }
     if settings.store:
         write_json(settings.folder / EVALUATION_FILE, figures)

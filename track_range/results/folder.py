@@ -24,7 +24,7 @@ from track_range.foundation.files.input_files import real_path
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.files.structured_text import read_json, read_yaml
 from track_range.foundation.schemas.validation import Number, PositiveNumber, validated
-from track_range.ranging.truth.truth import Truth, read_truth
+from track_range.ranging.truth.truth import Truth, TruthChoices, read_truth
 from track_range.results.approaches import closest_approaches
 from track_range.results.events.event import Event
 from track_range.results.events.files import EVENTS_FILE, EventFileError, read_events
@@ -73,7 +73,7 @@ _MAX_BEYOND_S = 1.0  # tolerance for events after the last row or the end of the
 DEFAULT_FPS, _MAX_FPS = 10.0, 10_000.0
 EVALUATION_FILE = "evaluation.json"
 # its sections, in place of those of summary.json
-_EVALUATED = ("methods", "common", "closing", "tracks", "truth")
+_EVALUATED = ("methods", "common", "closing", "lateral", "tracks", "truth", "targets")
 # settings that are inputs of a run
 _INPUTS = ("mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
 
@@ -127,16 +127,22 @@ class DetectedCamera(BaseModel):
 
 
 def truth_of(settings: Sections, detected: Sections) -> Truth:
-    """Ground truth of the options `truth` and `truth_calib`, for a run with this section `found` of
-    its settings.yaml.
+    """Ground truth of the options `truth`, `truth_calib` and so on, for a run with this section
+    `found` of its settings.yaml.
 
     Raises LabelFileError, RigError: a file cannot be used; OutputError: the section is damaged.
     """
     facts = validated(DetectedCamera, detected, "settings.yaml, found", OutputError)
-    shift_m, calib = np.zeros(3), settings.get("truth_calib")
+    shift_m = np.zeros(3)
     if facts.rig and facts.rig.is_file():
         shift_m = left_from_reference_m(facts.rig, is_grey=False, size_px=facts.image_size_px)
-    given = None if calib is None else Path(str(calib))
+    calib, poses = (settings.get(name) for name in ("truth_calib", "truth_poses"))
+    given = TruthChoices(
+        None if calib is None else Path(str(calib)),
+        None if poses is None else Path(str(poses)),
+        float(settings.get("truth_ahead_m") or 0.0),
+        settings.get("truth_offset_s"),
+    )
     return read_truth(Path(str(settings["truth"])), facts.camera(), shift_m, given)
 
 

@@ -7,13 +7,14 @@ Figures without `_pct` are fractions 0..1, except MOT metrics, which are in per 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
+from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.truth.errors import (
     BANDS_M,
@@ -23,7 +24,15 @@ from track_range.ranging.truth.errors import (
     score_closing,
     score_methods,
 )
+from track_range.ranging.truth.target_matching import (
+    MatchedTargets,
+    MeasuredRows,
+    match_targets,
+    offset_notes,
+)
+from track_range.ranging.truth.target_table import TargetTable
 from track_range.ranging.truth.truth import Truth
+from track_range.results.approaches import reference_distance
 from track_range.results.events.event import EVENT_KINDS, Event, severity_key
 from track_range.results.events.files import rounded_values
 from track_range.results.rows.columns import methods_with_sigma
@@ -48,6 +57,8 @@ class MatchedTruth:
 
     truth: Truth  # the labels
     row: IntArray  # (N,) index of the matching label in `truth`; -1 = no match
+    # of targets without boxes: offset of the clocks and its sigma, and a row per target
+    targets: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def distance_m(self) -> FloatArray:
@@ -76,8 +87,62 @@ class MatchedTruth:
 
 
 def matched_truth(rows: Rows, truth: Truth) -> MatchedTruth:
-    """Ground truth matched to the rows of a run by frame and box overlap."""
+    """Ground truth matched to the rows of a run by frame and box overlap, or targets without boxes
+    by distance and time.
+    """
+    if truth.targets is not None:
+        return _matched_targets(rows, truth, truth.targets)
     return MatchedTruth(truth, match_truth(rows["frame"], rows.boxes_px, truth))
+
+
+def _matched_targets(rows: Rows, truth: Truth, table: TargetTable) -> MatchedTruth:
+    """Targets matched to whole tracks: a label per matched row, whose box is that of the row."""
+    clock = rows["utc"] if table.clock == "utc_s" else rows[table.clock]
+    if table.clock == "utc_s" and not np.isfinite(clock).any():
+        raise LabelFileError(
+            f"{table.path}: utc_s needs the time of the video; give --start-utc, or a column time_s."
+        )
+    distance_m, sigma_m = reference_distance(rows, ("fused", "fused_kf"))
+    values = np.stack([distance_m, rows["x_m"], rows["closing_mps"]])
+    sigmas = np.stack([sigma_m, rows["x_sigma_m"], rows["closing_sigma_mps"]])
+    measured = MeasuredRows(rows["frame"], clock.astype(float), rows["track_id"], values, sigmas)
+    matches = match_targets(table, measured)
+    own = np.flatnonzero(matches.target >= 0)
+    target, names = matches.target[own], rows["class"][own]
+    has_sides = bool(np.isfinite(matches.values[1]).any())
+    labels = replace(
+        truth,
+        frame=rows["frame"][own],
+        track_id=target,
+        kitti_type=names,
+        class_id=map_to_road_classes([str(name) for name in names]),
+        xyxy_px=rows.boxes_px[own],
+        distance_m=matches.values[0, own],
+        closing_mps=matches.values[2, own],
+        right_m=matches.values[1, own] if has_sides else None,
+        notes=(*truth.notes, *offset_notes(table, matches)),
+    )
+    row = np.full(len(rows), -1)
+    row[own] = np.arange(len(own))
+    return MatchedTruth(labels, row, _target_figures(rows, table, matches))
+
+
+def _target_figures(rows: Rows, table: TargetTable, matches: MatchedTargets) -> dict[str, Any]:
+    """Section `targets`: the offset of the clocks, and each target with its tracks."""
+    by_target = []
+    for number, name in enumerate(table.names):
+        own = matches.target == number
+        tracks = np.unique(rows["track_id"][own]).tolist()
+        n_rows = int((table.target == number).sum())
+        by_target.append(
+            {"target": name, "rows": n_rows, "matched": int(own.sum()), "tracks": tracks}
+        )
+    sigma_s = None if np.isnan(matches.offset_sigma_s) else round(matches.offset_sigma_s, 3)
+    return {
+        "offset_s": round(matches.offset_s, 3),
+        "offset_sigma_s": None if sigma_s == np.inf else sigma_s,
+        "by_target": by_target,
+    }
 
 
 def with_truth(rows: Rows, matched: MatchedTruth) -> Rows:
@@ -120,7 +185,21 @@ def range_scores(
     true_mps = matched.of_scored(matched.of_labels(matched.truth.closing_mps, np.nan))
     measured = (rows["closing_mps"], rows["closing_sigma_mps"])
     closing = score_closing(*measured, true_mps, track_id, seed)
-    return {"methods": own, "common": common, **({} if closing is None else {"closing": closing})}
+    sections = {"closing": closing, "lateral": _lateral(rows, matched, seed)}
+    labelled = {name: section for name, section in sections.items() if section is not None}
+    return {"methods": own, "common": common, **labelled}
+
+
+def _lateral(rows: Rows, matched: MatchedTruth, seed: int) -> dict[str, Any] | None:
+    """Errors of offsets to the side in m, where the ground truth has them."""
+    if matched.truth.right_m is None:
+        return None
+    true_m = matched.of_scored(matched.of_labels(matched.truth.right_m, np.nan))
+    track_id = matched.of_labels(matched.truth.track_id, -1)
+    scores = score_closing(rows["x_m"], rows["x_sigma_m"], true_m, track_id, seed)
+    if scores is None:
+        return None
+    return {key.replace("_mps", "_m"): value for key, value in scores.items()}
 
 
 def track_scores(rows: Rows, truth: Truth | None, frames: IntArray) -> dict[str, Any]:
@@ -196,10 +275,12 @@ def truth_figures(
     `methods`, `common`, `closing`, `tracks`, and the description `truth`.
     """
     truth = None if matched is None else matched.truth
+    has_targets = truth is not None and truth.targets is not None
     return {
         **range_scores(rows, matched, methods, seed),
-        "tracks": track_scores(rows, truth, frames),
+        "tracks": track_scores(rows, None if has_targets else truth, frames),
         "truth": None if truth is None else truth.protocol,
+        **({"targets": matched.targets} if matched is not None and has_targets else {}),
     }
 
 

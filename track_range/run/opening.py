@@ -105,9 +105,9 @@ def open_run(
             )
         if box_source.fixed_parts is not None:
             box_source = replace(box_source, fixed_parts=shown_fixed_parts(recording, again))
-        calibration, path, calib = recording.calibration, settings.truth, settings.truth_calib
-        shift_m = calibration.left_from_reference_m
-        truth = None if path is None else read_truth(path, calibration.camera, shift_m, calib)
+        calibration, path = recording.calibration, settings.truth
+        shift_m, choices = calibration.left_from_reference_m, settings.truth_choices
+        truth = None if path is None else read_truth(path, calibration.camera, shift_m, choices)
         region = settings.region or _region_of(speed.track)
         # frames at the pace of a camera do not wait, and are not the same in another run
         is_live = recording.live is not None or settings.realtime

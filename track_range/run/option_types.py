@@ -77,6 +77,9 @@ class RunKeywords(PipelineKeywords, total=False):
     ego_speed: str | Path | float | None
     truth: str | Path | None
     truth_calib: str | Path | None
+    truth_poses: str | Path | None
+    truth_ahead_m: float | None
+    truth_offset_s: float | None
     detections: str | Path | None
     align: str | Path | None
     out: str | Path | None

@@ -100,6 +100,7 @@ class RunSession:
         self._notes = self._notes_with(
             labels.FrameNumbers(rows, recorded, self.opened.box_source.frames, truth, is_whole),
             self.findings,
+            figures,
             still_boxes.StillBoxes(recorded, self.recording.calibration),
         )
         facts = {

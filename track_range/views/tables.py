@@ -222,8 +222,13 @@ def accuracy_grids(summary: Summary) -> list[Grid]:
     has_errors = any(
         figure(row, "median_relative_error_pct") is not None for row in methods.values()
     )
-    tables = [*_distance_grids(summary, has_errors=has_errors), class_grid(methods)]
-    return [grid for grid in (*tables, closing_grid(summary.get("closing") or {})) if grid.rows]
+    tables = [
+        *_distance_grids(summary, has_errors=has_errors),
+        class_grid(methods),
+        closing_grid(summary.get("closing") or {}),
+        lateral_grid(summary.get("lateral") or {}),
+    ]
+    return [grid for grid in tables if grid.rows]
 
 
 def _distance_grids(summary: Summary, *, has_errors: bool) -> tuple[Grid, Grid]:
@@ -279,6 +284,16 @@ def closing_grid(closing: Mapping[str, Any]) -> Grid:
     """One row: errors of the closing speeds against ground truth that contains them, in m/s."""
     columns = columns_of([closing], _CLOSING_COLUMNS)
     return grid_of("Error of the closing speed", "method", ["fused_kf"] if closing else [], columns)
+
+
+def lateral_grid(lateral: Mapping[str, Any]) -> Grid:
+    """One row: errors of the offsets to the side against targets that have them, in m."""
+    specs = [
+        (heading.replace("m/s", "m"), key.replace("_mps", "_m"), *rest)
+        for heading, key, *rest in _CLOSING_COLUMNS
+    ]
+    names = ["fused"] if lateral else []
+    return grid_of("Error of the offset to the side", "method", names, columns_of([lateral], specs))
 
 
 def rig_grid(health: Mapping[str, Any]) -> Grid:

@@ -67,3 +67,39 @@ def test_no_run(tmp_path: Path, cli: Callable[..., Any]) -> None:
     status, _, errors = cli("evaluate", "run", tmp_path / "missing", "--truth", tmp_path / "a.csv")
     assert status == 1
     assert "missing" in errors
+
+
+def log(path: Path, distance_m: float, header: str = "time_s,target,range_m") -> Path:
+    rows = (f"{frame / 10},lead,{distance_m}\n" for frame in range(N_FRAMES))
+    path.write_text(header + "\n" + "".join(rows))
+    return path
+
+
+def test_targets_without_boxes(run: Path, tmp_path: Path, cli: Callable[..., Any]) -> None:
+    radar = log(tmp_path / "radar.csv", 18.0)
+    file = tmp_path / "figures.json"
+    status, printed, errors = cli(
+        "evaluate", "run", run, "--truth", radar, "--truth-ahead-m", 0.9, "--json", file
+    )
+    assert (status, errors) == (0, "")
+    figures = json.loads(file.read_text())
+    assert figures["methods"]["fused"]["median_relative_error_pct"] == pytest.approx(0.0)
+    assert figures["methods"]["fused"]["n"] == N_FRAMES
+    assert figures["tracks"]["mota"] is None
+    assert figures["targets"]["by_target"] == [
+        {"target": "lead", "rows": N_FRAMES, "matched": N_FRAMES, "tracks": [1]}
+    ]
+    assert "no offset of its clock was found" in printed
+    assert figures["settings"] == {"truth": str(radar), "truth_ahead_m": 0.9}
+
+
+def test_targets_that_no_track_fits(run: Path, tmp_path: Path) -> None:
+    figures = tr.evaluate.run(run, log(tmp_path / "radar.csv", 50.0), truth_offset_s=0.0)
+    assert figures["methods"]["fused"]["n"] == 0
+    assert "no track fits 1 of 1 targets: lead" in figures["notes"][-1]
+
+
+def test_times_of_day_need_that_of_the_video(run: Path, tmp_path: Path) -> None:
+    radar = log(tmp_path / "radar.csv", 18.0, "utc_s,target,range_m")
+    with pytest.raises(tr.errors.LabelFileError, match="start-utc"):
+        tr.evaluate.run(run, radar)

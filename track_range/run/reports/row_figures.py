@@ -1,6 +1,6 @@
 """Figures of the rows of a run: by method, track, road user and event, and against labels."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -38,6 +38,10 @@ class RowFigures(Reports):
     def with_truth(self) -> Rows:
         """The rows with their ground truth, if there is one."""
         return self.recorded if self.matched is None else with_truth(self.recorded, self.matched)
+
+    def notes(self) -> Sequence[str]:
+        """Messages on targets that were matched to the rows."""
+        return () if self.matched is None else self.matched.truth.notes
 
     def summary(self) -> Mapping[str, Any]:
         """Sections `methods`, `common`, `closing`, `tracks`, `truth`, `closest_approaches` and `events`."""

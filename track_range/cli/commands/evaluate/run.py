@@ -17,7 +17,8 @@ class RunOptions(RunEvaluationSettings):
 def _run(options: RunOptions) -> None:
     check_result_files(options)
     figures = evaluate_run(options)
-    print_grid(console, *tables.accuracy_grids(figures), tables.mot_grid(figures["tracks"]))
+    mot = tables.mot_grid(figures["tracks"])
+    print_grid(console, *tables.accuracy_grids(figures), *([mot] if mot.rows else []))
     print_line(console, f"Ground truth: {figures['truth']}.")
     if rule := figures["tracks"].get("rule"):
         print_line(console, f"Rule of the tracking metrics: {rule}.")
