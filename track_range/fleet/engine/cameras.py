@@ -102,7 +102,7 @@ def with_cameras(clips: Sequence[Clip], plan: FleetPlan, console: Console) -> li
         rig = plan.out.path / "cameras" / f"{quote(name, safe='')}.yaml"
         # as of the results of clips: without folders, which an anonymized fleet does not name
         of_clips = [[clip.name, present_fingerprint(clip)] for clip in used]
-        inputs = [plan.keys.tracks, *of_clips]
+        inputs = [plan.keys.cameras, *of_clips]
         sentence = _known_sentence(rig, inputs, [plan.keys.former, *of_clips])
         if used and not sentence and not plan.settings.dry_run:
             sentence = _estimated(used, rig, inputs, plan, console)

@@ -11,10 +11,9 @@ from rich.console import Console
 
 from track_range.fleet.engine.cameras import with_cameras
 from track_range.fleet.engine.cluster import connected
-from track_range.fleet.engine.plan import ClipTask, FleetPlan, Process, fleet_plan, named_options
+from track_range.fleet.engine.plan import FleetPlan, Process, fleet_plan, named_options
 from track_range.fleet.engine.progress import shown_progress, worker_state
 from track_range.fleet.engine.remaining import (
-    WouldReplaceError,
     check_replaced,
     remaining,
     work_text,
@@ -76,13 +75,19 @@ def run_fleet(
         remove_unfinished(plan.out)
         console = console or Console(quiet=True)
         try:
-            return _FleetRun(plan, with_cameras(clips, plan, console), console).run(process)
+            table = ClipTable(plan.out)
+            if not settings.overwrite:
+                check_replaced(clips, table, plan)
+            with_rigs = with_cameras(clips, plan, console)
+            return _FleetRun(plan, with_rigs, table, console).run(process)
         finally:
             remove_unfinished(plan.out)
 
 
 class _FleetRun:
-    def __init__(self, plan: FleetPlan, clips: Sequence[Clip], console: Console) -> None:
+    def __init__(
+        self, plan: FleetPlan, clips: Sequence[Clip], table: ClipTable, console: Console
+    ) -> None:
         self._plan, self._clips, self._console = plan, clips, console
         options = named_options(plan)
         self._state = FleetState(
@@ -91,15 +96,14 @@ class _FleetRun:
         self._kept: list[str] = []
         self._unmade: list[tuple[str, str]] = []
         self._next_heartbeat_s = 0.0
-        self._table = ClipTable(plan.out)
+        self._table = table
 
     def run(self, process: Process) -> FleetResult:
         state = self._state
+        self._write_state("running")
         try:
-            todo = self._remaining()
-            self._write_state("running")
             self._table.compile()
-            self._process_all(todo, process)
+            self._process_remaining(process)
             self._table.compile(is_sorted=True)
         except KeyboardInterrupt:
             self._finish("stopped", "stopped by the user")
@@ -107,8 +111,6 @@ class _FleetRun:
                 f"stopped by the user; {state.skipped + state.done} of {state.total} clips are "
                 "complete; repeat the command to continue."
             ) from None
-        except WouldReplaceError:  # the results and their state are as before
-            raise
         except Exception as error:
             kind = (
                 ""
@@ -122,18 +124,11 @@ class _FleetRun:
         failed = sorted([*failed, *self._unmade])
         return FleetResult(state, failed, state.heartbeat_s - state.started_s, sorted(self._kept))
 
-    def _remaining(self) -> list[ClipTask]:
-        """The clips to process; WouldReplaceError if they have results that may not be replaced."""
-        state, plan = self._state, self._plan
-        todo, state.skipped, state.failed = remaining(
-            self._clips, self._table, plan.keys, is_failed_repeated=plan.settings.retry_failed
-        )
-        if not plan.settings.overwrite:
-            check_replaced(todo, plan)
-        return todo
-
-    def _process_all(self, todo: Sequence[ClipTask], process: Process) -> None:
+    def _process_remaining(self, process: Process) -> None:
         state, plan, table = self._state, self._plan, self._table
+        todo, state.skipped, state.failed = remaining(
+            self._clips, table, plan.keys, is_failed_repeated=plan.settings.retry_failed
+        )
         if not todo:
             return
         # Ray has replaced the handlers

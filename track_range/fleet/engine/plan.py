@@ -94,6 +94,7 @@ class StageKeys:
     """
 
     detections: str = ""
+    cameras: str = ""  # estimates of cameras by --camera
     tracks: str = ""  # tracks and distances, with the key of the detections in it
     events: str = ""
     # files besides tracks and events, by name and variant, such as "overlay, recorded images"
@@ -260,6 +261,7 @@ def _keys(values: Mapping[str, Any], outputs: tuple[str, ...], *, has_reports: b
 
     return StageKeys(
         detections=key("detections"),
+        cameras=key("detections", curves=values.get("curves")),
         tracks=key("detections", "tracks"),
         events=key("events"),
         outputs=outputs,

@@ -131,11 +131,16 @@ _MADE: Mapping[Stage, str] = {
 }
 
 
-def check_replaced(todo: Sequence[ClipTask], plan: FleetPlan) -> None:
+def check_replaced(clips: Sequence[Clip], table: ClipTable, plan: FleetPlan) -> None:
     """WouldReplaceError if results would be replaced, with the options that differ from those of
     the last run.
     """
-    counts = Counter(task.stage for task in todo if task.is_replaced)
+    known = dict(_known(table))
+    done = [(clip, known[clip.name]) for clip in clips if clip.name in known]
+    tasks = [
+        _task_after(clip, result, plan.keys) for clip, result in done if result.status == "done"
+    ]
+    counts = Counter(task.stage for task in tasks if task.is_replaced)
     if not counts:
         return
     replaced = "; ".join(
@@ -151,7 +156,7 @@ def check_replaced(todo: Sequence[ClipTask], plan: FleetPlan) -> None:
         for name in before.keys() | now.keys()
         if before.get(name) != now.get(name)
     )
-    options = f" ({shortened(', '.join(names), 100)} differ)" if names else ""
+    options = f" ({shortened(', '.join(names), 100)})" if names else ""
     raise WouldReplaceError(
         f"{plan.out}: expected the options of the finished results, found others{options}, which "
         f"would replace {replaced}; repeat the command with --overwrite, or choose another --out."

@@ -55,7 +55,8 @@ def _fleet_events(options: FleetEventsOptions) -> None:
     if options.clips is not None:
         videos = copied_videos(out, rows, options.clips)
         rows = [{**row, "video": video} for row, video in zip(rows, videos, strict=True)]
-    print_grid(console, event_grid("", rows[:_N_SHOWN]))
+    if rows:
+        print_grid(console, event_grid("", rows[:_N_SHOWN]))
     more = f", the first {_N_SHOWN} above" if len(rows) > _N_SHOWN else ""
     print_line(console, f"{len(rows)} of {counted(listed.n_all, 'event')}{more}")
     print_notes(console, listed.problems)

@@ -79,7 +79,7 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
     from track_range.cli.shared.console import console, print_line, print_notes
     from track_range.fleet.engine.cameras import with_cameras
     from track_range.fleet.engine.plan import fleet_plan
-    from track_range.fleet.engine.remaining import remaining, work_text
+    from track_range.fleet.engine.remaining import check_replaced, remaining, work_text
     from track_range.fleet.errors import ClipsFailedError
     from track_range.fleet.inputs.dry_run import check_clips
     from track_range.fleet.output.data_set import ClipTable
@@ -120,6 +120,8 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
         f"{work_text(todo, n_complete)}, {n_failed} failed before; {duration_text(seconds)} of "
         "video to process",
     )
+    if not settings.overwrite:
+        check_replaced(clips, table, plan)
     if problems:
         raise ClipsFailedError(
             f"{len(problems)} of {len(clips)} clips cannot be processed; see the list above."
