@@ -126,8 +126,8 @@ _REPLACED: Mapping[Stage, str] = {
 _MADE: Mapping[Stage, str] = {
     "detections": "all over again",
     "tracks": "from stored detections, without the detector",
-    "events": "events alone",
-    "outputs": "missing files alone",
+    "events": "for events alone",
+    "outputs": "for missing files alone",
 }
 
 
