@@ -143,7 +143,7 @@ MOST_STATEMENTS = {
     # `evaluate run` (15)
     # `check` (15)
     # events of a fleet that meet a condition (41), scenarios of events, and notes of a dry run (10)
-    "cli": 2_578,
+    "cli": 2_581,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (143), several drives together, and intervals of rates (49)
@@ -159,7 +159,7 @@ MOST_STATEMENTS = {
     # earlier names of columns (4)
     # clips from the first stage that changed: keys, boxes, rows and poses that are kept (345), and a
     # condition on the events of all clips with copies of their videos (165)
-    "fleet": 3_758,  # what a lost worker counts as is a function that tests call (5)
+    "fleet": 3_759,  # what a lost worker counts as is a function that tests call (5)
     # contradictions name their options (9); one registry with priorities and notes (65)
     # one registry with priorities and notes (5); functions of packages guarded in one place (50);
     # the flow of long tracks, below the two estimators that follow corners (35)
