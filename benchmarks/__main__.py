@@ -122,6 +122,10 @@ WORKLOADS = {
         "accuracy.tracking.tracking",
         "trackers against each other on KITTI and MOTChallenge",
     ),
+    "visibility": (
+        "accuracy.detection.visibility",
+        "recall of the packaged detector in the dark, in fog, glare, blur and drops",
+    ),
     "warnings": ("accuracy.warnings.warnings", "lead times and false alarms of collision warnings"),
     "wide_lenses": (
         "accuracy.ranging.simulated_runs",

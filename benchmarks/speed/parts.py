@@ -334,6 +334,7 @@ def written_frames(n_frames: int) -> Iterator[FrameResult]:
                 np.full(N_TRACKS, 0.3),
                 distance_m / closing_mps,
                 0.03 * distance_m / closing_mps,
+                np.zeros(N_TRACKS, np.bool_),
             ),
             world=replace(World.unknown(N_TRACKS), xyz_m=xyz_m),
             alarms=Alarms.none(N_TRACKS),

@@ -273,7 +273,9 @@ class YoloDetector:
             )
         if self.model.note:
             notes.append(self.model.note)
-        if first.n_checked >= N_IMAGES and not first.n_detected:
+        # only models that this package trained have an area, and their outputs are known
+        is_ours = self._metadata.get("area", None, "").value is not None
+        if first.n_checked >= N_IMAGES and not first.n_detected and not is_ours:
             notes.append(
                 Note(
                     f"{name} detected nothing in the first {N_IMAGES} images; if they show road "

@@ -272,8 +272,11 @@ class DistanceFilters:
         rate_sigma_mps = np.where(is_certain, np.sqrt(rate_variance), np.nan)
         sigma_m = np.sqrt(P_dd + systematic * d * d)
         ttc_s, ttc_sigma_s = time_to_collision(
-            d, np.where(is_certain, v, np.nan), variances=(P_dd, P_dv, P_vv)
+            d, np.where(is_steady, v, np.nan), variances=(P_dd, P_dv, P_vv)
         )
+        # a longer focal length has longer distances and larger sigmas, but the same times
+        is_timed = is_sure | (ttc_sigma_s <= self._settings.max_ttc_sigma * ttc_s)
+        ttc_s, ttc_sigma_s = (np.where(is_timed, values, np.nan) for values in (ttc_s, ttc_sigma_s))
         return {
             name: FilteredRanges(
                 Ranges(by_method[name].track_id, d[i], sigma_m[i]),

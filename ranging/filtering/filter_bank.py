@@ -66,6 +66,8 @@ class FilterSettings:
     # longest time without a measurement; the track is then NaN, and its filter restarts
     max_gap_s: float = 1.0
     max_rate_sigma_mps: float = 1.5  # largest standard deviation of a reported rate; NaN above
+    # the same of a time to collision whose rate has a larger one, relative to it
+    max_ttc_sigma: float = 0.5
     # time after a start or change of condition with a NaN rate, against false alarms
     min_steady_s: float = 0.35
 

@@ -56,6 +56,9 @@ _GATE_SIGMA = 5.0  # gate in standard deviations of the innovation; measurements
 _OUTSIDE_S, _MAX_GAP_S = 0.25, 1.0
 # from the border of a box that it cuts: px, plus a fraction of its height
 _BORDER_PX, _BORDER_FRACTION = 2.0, 0.1
+# the same fraction until a box that was cut is whole again: of near vehicles that pass, detectors
+# end boxes up to a third of the height before the border, which looks like a motion to the path
+_STAYS_CUT_FRACTION = 0.4
 # longest time for which the lateral speed from before a box was cut counts as current
 _MAX_CUT_S = 0.3
 # of the smallest width of its class; in a narrower box, a part of the object is hidden
@@ -77,10 +80,14 @@ TYPICAL_WIDTH_M = 1.2 * _MIN_WIDTH_M
 _HALF_SIGMA = 0.15
 
 
-def sides_cut(tracks: Tracks, camera: PinholeCamera) -> BoolArray:
-    """(2, N) whether the left, and the right, image border cuts the boxes of the tracks."""
+def sides_cut(
+    tracks: Tracks, camera: PinholeCamera, fraction: float = _BORDER_FRACTION
+) -> BoolArray:
+    """(2, N) whether the left, and the right, image border cuts the boxes of the tracks, which end
+    within a `fraction` of their height from it.
+    """
     x1_px, y1_px, x2_px, y2_px = tracks.xyxy_px.T
-    border_px = _BORDER_PX + _BORDER_FRACTION * (y2_px - y1_px)
+    border_px = _BORDER_PX + fraction * (y2_px - y1_px)
     return np.array([x1_px <= border_px, x2_px >= camera.width_px - 1 - border_px])
 
 
@@ -93,6 +100,8 @@ class LateralMotion:
     half_width_m: FloatArray
     # (N,) False = only extrapolated, since the left or right image border cuts the box
     is_current: BoolArray
+    # (N,) whether one of these borders cuts the box now
+    is_cut: BoolArray
 
 
 class _LateralState(NamedTuple):
@@ -107,6 +116,11 @@ class _LateralState(NamedTuple):
     P_uu: FloatArray
     time_s: FloatArray  # of the state
     measured_s: FloatArray  # time of the last measurement
+    cut_left: FloatArray  # 1 = the left border cut the last box
+    cut_right: FloatArray
+
+
+_KNOWN_ROW = _LateralState._fields.index("measured_s")
 
 
 class _Unconfirmed(NamedTuple):
@@ -224,12 +238,14 @@ class LateralFilters:
         unknown; `own_mps` (N,) the objects' own speed z' + V, 0 = unknown; `right_mps` the camera's
         speed U to the right of its axis, NaN = unknown.
         """
+        last = _LateralState._make(self._tracks.get(tracks.track_id))
+        was_cut = np.array([last.cut_left, last.cut_right]) > 0  # False for NaN
         is_cut = sides_cut(tracks, self._camera)
+        is_cut |= was_cut & sides_cut(tracks, self._camera, _STAYS_CUT_FRACTION)
         x, sigma_m, half_width_m, is_whole = self._measured(tracks, distance_m, is_cut)
         R = sigma_m**2 + (x * distance_sigma_m / distance_m) ** 2
         valid = tracks.observed & is_whole & np.isfinite(x)
 
-        last = _LateralState._make(self._tracks.get(tracks.track_id))
         since_s = time_s - last.measured_s
         is_stale = ~(since_s <= _MAX_GAP_S)
         dt = time_s - last.time_s
@@ -256,11 +272,12 @@ class LateralFilters:
             columns = np.where(starts, initial, columns)
         measured_s = np.where(is_measured | starts, time_s, last.measured_s)
         new = np.empty((len(_LateralState._fields), len(tracks)))
-        new[:5], new[5], new[6] = columns, time_s, measured_s
-        known_s = self._tracks.known[-1]
+        new[:5], new[5], new[6], new[7:] = columns, time_s, measured_s, is_cut
+        known_s = self._tracks.known[_KNOWN_ROW]
         self._tracks.put(tracks.track_id, new, keep_known=time_s - known_s <= _MAX_GAP_S)
-        is_current = ~is_cut.any(axis=0) | (time_s - measured_s <= _MAX_CUT_S)
-        return LateralMotion(ConstantVelocity(*columns), half_width_m, is_current)
+        is_in_part = np.asarray(is_cut.any(axis=0))
+        is_current = ~is_in_part | (time_s - measured_s <= _MAX_CUT_S)
+        return LateralMotion(ConstantVelocity(*columns), half_width_m, is_current, is_in_part)
 
     def _measured(
         self, tracks: Tracks, distance_m: FloatArray, is_cut: BoolArray

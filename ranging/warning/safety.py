@@ -3,15 +3,15 @@ docs/concepts/warnings.md).
 
     gap          g = d - f                     from the front of the ego vehicle, f ahead of the camera
     headway      g / V                         V: ego speed (the "time gap" of SAE J2944)
-    TTC          g / c                         c: closing speed; time to collision of the front
+    TTC          g / c = (g / d) T              c: closing speed; time to collision of the front, T of the camera
     DRAC         c^2 / 2 g                     required deceleration of the ego vehicle
     MDRAC        c^2 / 2 (g - c T_r)           the same after the reaction time T_r
     TET, TIT     int [TTC < T*] dt, int (T* - TTC) dt over TTC < T*
     PET          time between the first one leaving and the second one reaching the place at which two paths cross
 
 Headway and decelerations are given for road users on the ego path, whose width overlaps the ego
-vehicle's width there. TTC is also given for road users that will be there, with a probability of
-contact of at least one half.
+vehicle's width there. TTC is given for those that probably are, by the standard deviation of their
+offset, and for those that will be there, with a probability of contact of at least one half.
 """
 
 from __future__ import annotations
@@ -25,16 +25,19 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.track_state import TrackState
-from track_range.ranging.filtering.filtered_ranges import MIN_CLOSING_MPS
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.warning.warnings import Warnings
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks
 
 TTC_LIMIT_S = 3.0  # T*, and T_r is `WarningSettings.reaction_s`: the defaults of SUMO's SSM device
-_MIN_SIGNIFICANCE = 2.0  # smallest closing speed of a TTC in its standard deviations
-_LIKELY = 0.5  # smallest probability of contact of a road user that will be on the path
+# largest standard deviation of a TTC relative to it: the closing speed is two of its own. An error
+# of the scale is none of the TTC, so that it needs no calibration.
+_MAX_RELATIVE_SIGMA = 0.5
+# smallest probability that a road user is on the path, or of a contact, of a TTC
+_LIKELY = 0.5
 _MIN_GAP_M = 0.1  # smallest gap of a deceleration
+_LEAST_M = 1e-6  # standard deviation of an offset without one
 _MIN_EGO_MPS = 0.5  # smallest ego speed of a headway
 # smallest speed along the road of a lead: it does not come towards the ego vehicle
 _MIN_OWN_MPS = -2.0
@@ -65,7 +68,7 @@ class SafetyMeasures:
 
     Attributes:
         gap_m: distance from the front of the ego vehicle, at least 0, of all tracks.
-        ttc_front_s: TTC of road users that close in with more than two sigmas.
+        ttc_front_s: TTC of road users where its sigma is at most half of it.
         headway_s: gap over ego speed.
         drac_mps2: deceleration that avoids a contact.
         mdrac_mps2: the same after the reaction time.
@@ -114,14 +117,15 @@ class SafetyMonitor:
         *,
         distance_m: FloatArray,
         closing_mps: FloatArray,
-        closing_sigma_mps: FloatArray,
+        ttc_s: FloatArray,
         ego_mps: float,
         warnings: Warnings,
         lane_edges_m: tuple[float, float] | None = None,
     ) -> SafetyMeasures:
         """Measures of N tracks (N,) at `time_s`.
 
-        `distance_m` is filtered, `ego_mps` NaN = unknown. `lane_edges_m` are the left and the right
+        `distance_m` is filtered, `ttc_s` (2, N) the time to collision of the camera with its
+        standard deviation, `ego_mps` NaN = unknown. `lane_edges_m` are the left and the right
         line of the ego lane relative to the ego path, positive = right; None = not seen, the ego
         path is then the middle of its lane.
         """
@@ -130,13 +134,14 @@ class SafetyMonitor:
         is_user = _IS_ROAD_USER[class_id]
         is_on_path = (apart_m(warnings.path_offset_m, class_id, settings) < 0) & is_user
 
-        # Time to collision and headway.
-        will_be_on_path = (is_on_path | (warnings.probability >= _LIKELY)) & is_user
-        closes_in = closing_mps > MIN_CLOSING_MPS
-        # True where sigma is unknown
-        is_significant = ~(closing_mps < _MIN_SIGNIFICANCE * closing_sigma_mps)
-        is_on_course = will_be_on_path & closes_in & is_significant
-        ttc_s = gap_m / np.where(is_on_course, closing_mps, np.nan)
+        # Time to collision, where the object is probably on the path, and headway.
+        overlap = _overlap(warnings, HALF_WIDTH_M[class_id] + settings.ego_width_m / 2)
+        # unknown without a probability of contact: the motion is then too uncertain
+        will_be_on_path = (np.maximum(overlap, warnings.probability) >= _LIKELY) & is_user
+        camera_s, sigma_s = ttc_s
+        is_significant = ~(sigma_s > _MAX_RELATIVE_SIGMA * camera_s)  # True for an unknown sigma
+        is_on_course = will_be_on_path & is_significant
+        front_s = np.where(is_on_course, camera_s, np.nan) * gap_m / distance_m
         has_headway = is_on_path & (ego_mps >= _MIN_EGO_MPS)
         headway_s = np.where(has_headway, gap_m / max(ego_mps, _MIN_EGO_MPS), np.nan)
 
@@ -146,7 +151,7 @@ class SafetyMonitor:
         drac_mps2 = _required_deceleration(closing_on_path_mps, gap_m)
         mdrac_mps2 = _required_deceleration(closing_on_path_mps, left_m)
 
-        tet_s, tit_s2 = self._exposure(tracks.track_id, ttc_s, time_s)
+        tet_s, tit_s2 = self._exposure(tracks.track_id, front_s, time_s)
         lane_index, lane_index_sigma = _lane_index(
             warnings.path_offset_m, warnings.path_offset_sigma_m, lane_edges_m
         )
@@ -157,7 +162,7 @@ class SafetyMonitor:
         is_lead &= gap_m == np.where(is_lead, gap_m, np.inf).min(initial=np.inf)
         return SafetyMeasures(
             gap_m=gap_m,
-            ttc_front_s=ttc_s,
+            ttc_front_s=front_s,
             headway_s=headway_s,
             drac_mps2=drac_mps2,
             mdrac_mps2=mdrac_mps2,
@@ -182,6 +187,13 @@ class SafetyMonitor:
         is_recent = time_s - self._tracks.known[2] <= MAX_GAP_S
         self._tracks.put(track_id, state, keep_known=is_recent)
         return tet_s, tit_s2
+
+
+def _overlap(warnings: Warnings, reach_m: FloatArray) -> FloatArray:
+    """(N,) probability that the offsets from the ego path are at most `reach_m`; NaN = unknown."""
+    offset_m, sigma_m = warnings.path_offset_m, warnings.path_offset_sigma_m
+    sigma_m = np.full_like(offset_m, _LEAST_M) if sigma_m is None else np.fmax(sigma_m, _LEAST_M)
+    return np.asarray(ndtr((reach_m - offset_m) / sigma_m) - ndtr((-reach_m - offset_m) / sigma_m))
 
 
 def _required_deceleration(closing_mps: FloatArray, gap_m: FloatArray) -> FloatArray:

@@ -418,3 +418,25 @@ def test_any_input_gives_positive_distances_and_sigmas(distances_m, ego_mps):
         assert (result.ranges.sigma_m[is_known] > 0).all()
         assert np.isfinite(result.rate_sigma_mps[np.isfinite(result.rate_mps)]).all()
         assert is_known[0] or np.isnan(distance_m)
+
+
+def test_times_to_collision_do_not_depend_on_the_focal_length():
+    """A focal length that is wrong by a factor stretches all distances and their sigmas. The rate of
+    a far car is then too uncertain to be reported in m/s, but its time to collision is as known.
+    Only the prior of the speed, which a new track has for some frames, is in m/s."""
+    noise = np.random.default_rng(3).normal(size=25)
+    times_s = {}
+    for factor in (1.0, 1.7):
+        filters, times_s[factor] = OneFilter(), []
+        for k in range(25):
+            true_m = 90.0 - 2.0 * k
+            z, sigma_m = factor * (true_m + 1.2 * noise[k]), 2.0 * factor
+            result = filters.update(measured([1], [z], sigma_m), 0.1 * k)
+            is_known = result.ttc_sigma_s[0] <= 0.5 * result.ttc_s[0]
+            times_s[factor].append(result.ttc_s[0] if is_known else np.nan)
+    usual, stretched = np.array(times_s[1.0]), np.array(times_s[1.7])
+    is_known = np.isfinite(usual) & np.isfinite(stretched)
+    assert (np.isfinite(usual) == np.isfinite(stretched)).mean() > 0.9
+    assert is_known.sum() > 12
+    np.testing.assert_allclose(stretched[is_known], usual[is_known], rtol=0.2)
+    np.testing.assert_allclose(stretched[8:], usual[8:], rtol=0.05)

@@ -166,6 +166,19 @@ def test_a_box_that_stays_cut_is_not_current() -> None:
     assert current == [True] * (n_whole + 3) + [False] * (13 - n_whole)
 
 
+def test_a_box_that_was_cut_stays_cut_until_it_ends_well_inside() -> None:
+    """A truck beside us: the detector ends its box, 300 px high, up to 100 px before the border, as
+    if it came towards our path; a box 130 px from it is whole."""
+    filters, found = LateralFilters(CAMERA), []
+    for number, right_px in enumerate([1100.0] * 3 + [1240.0] * 3 + [1140.0] * 3 + [1110.0] * 2):
+        boxes = tracks([[740.0, 20.0, right_px, 320.0]])
+        motion = filters.update(boxes, np.array([6.0]), number * STEP_S)
+        found.append((bool(motion.is_cut[0]), round(float(motion.state.x[0]), 1)))
+    is_cut, x_m = zip(*found, strict=True)
+    assert is_cut == (False,) * 3 + (True,) * 6 + (False,) * 2
+    assert len(set(x_m[2:9])) == 1
+
+
 def test_jump_restarts_the_filter() -> None:
     course = Course(CAMERA)
     drive(course, (-6.0, 40.0), (0.0, -10.0))

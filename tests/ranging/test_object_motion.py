@@ -39,7 +39,12 @@ def lateral_of(right_mps, *, x_m=1.0, sigma_mps=0.2):
     u = np.asarray(right_mps, np.float64)
     state = ConstantVelocity(*(np.full_like(u, x) for x in (x_m, 0.0, 0.01, 0.0, sigma_mps**2)))
     moved = ConstantVelocity(state.x, u, state.P_xx, state.P_xv, state.P_vv)
-    return LateralMotion(moved, np.full_like(u, 0.9), np.ones(u.shape, np.bool_))
+    return LateralMotion(
+        moved,
+        np.full_like(u, 0.9),
+        is_current=np.ones(u.shape, np.bool_),
+        is_cut=np.zeros(u.shape, np.bool_),
+    )
 
 
 def ground_of(rate_mps, right_mps, class_id=CAR, ego_mps=EGO_MPS, **options):

@@ -51,12 +51,14 @@ def measured(
         np.ones(n),
         np.ones(n, bool),
     )
+    d, c, sigma = (np.reshape(values, n).astype(float) for values in (d, c, sigma))
+    ttc_s = d / np.where(c > 0, c, np.nan)
     return (monitor or SafetyMonitor()).update(
         tracks,
         time_s,
-        distance_m=np.reshape(d, n).astype(float),
-        closing_mps=np.reshape(c, n).astype(float),
-        closing_sigma_mps=np.reshape(sigma, n).astype(float),
+        distance_m=d,
+        closing_mps=c,
+        ttc_s=np.array([ttc_s, ttc_s * sigma / c]),
         ego_mps=ego_mps,
         warnings=warnings,
         lane_edges_m=more.get("lane_edges_m"),
@@ -97,6 +99,19 @@ def test_ttc_of_those_who_will_be_on_the_path():
     ).ttc_front_s
     assert likely == pytest.approx(2.0)
     assert math.isnan(unlikely)
+
+
+def test_no_ttc_of_a_far_object_whose_place_is_not_known():
+    """1 m beside the middle of the path, with a sigma of 0.5 and of 4 m."""
+    for sigma_m, is_known in ((0.5, True), (4.0, False)):
+        found = measured([101.5], [20.0], offset_m=1.0, offset_sigma_m=sigma_m)
+        assert np.isfinite(found.ttc_front_s[0]) == is_known
+        assert np.isfinite(found.drac_mps2[0])
+
+
+def test_no_ttc_where_the_motion_is_too_uncertain_for_a_probability():
+    found = measured([21.5] * 2, [10.0] * 2, probability=[0.0, np.nan])
+    assert np.isfinite(found.ttc_front_s).tolist() == [True, False]
 
 
 def test_no_ttc_without_a_significant_closing_speed():

@@ -117,6 +117,7 @@ MOST_STATEMENTS = {
     # intervals of distances and closing speeds (10)
     # positions and velocities with covariances, in the axes of the vehicle, and sizes of classes (100)
     # tables of targets without boxes, their matching and the offset of clocks (150)
+    # boxes that were cut stay cut until they are well inside, times by their own sigma (11)
     "ranging": 7_981,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
@@ -192,6 +193,7 @@ MOST_STATEMENTS = {
     # another scene has other stages and other numbers (19), and predicted speeds (1)
     # a clock without generators, and corrections that change nothing left out (15)
     # objects with covariances, velocities and sizes (50), states of pipelines (80), and their health (45)
+    # whether the border cuts a box, as a part of its approach (1)
     "pipeline": 1_168,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
@@ -224,6 +226,8 @@ MOST_STATEMENTS = {
     # scenarios of events, whose parameters vary them (76), and clips that events know (20)
     # columns in the axes of the vehicle, and transforms with a mounting (39)
     # rows of targets without boxes (30)
+    # supported minima, by one definition for tables, events and fleets (55)
+    # what started a warning (10)
     "results": 2_944,
     # imports of one file for each idea of the settings (45); the parts of a run report, each in a class
     # of its own with what it imports (205); the options of its recording (15); notes on packages
@@ -259,6 +263,7 @@ MOST_STATEMENTS = {
     "views": 2_742,
     "track_range": 104,  # a module of errors and one of evaluations, each with its names for type checkers (18)
     # names of states and pixel formats (3)
+    # moments of a video, and the time of a run without tracks (6)
 }
 
 

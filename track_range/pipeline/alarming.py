@@ -74,7 +74,7 @@ class AlarmStage:
             time_s,
             distance_m=filtered.fused.ranges.distance_m,
             closing_mps=approach.closing_mps,
-            closing_sigma_mps=approach.closing_sigma_mps,
+            ttc_s=np.array([approach.ttc_s, approach.ttc_sigma_s]),
             ego_mps=ego.speed_mps,
             warnings=warnings,
             lane_edges_m=lane_edges_m(lanes, self._camera),

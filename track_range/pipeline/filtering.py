@@ -79,20 +79,25 @@ class Approach:
     closing_sigma_mps: FloatArray
     ttc_s: FloatArray  # distance / closing speed; NaN = not approaching
     ttc_sigma_s: FloatArray
+    # whether the left or right image border cuts the box, so that its edges are not the object's
+    is_cut: BoolArray
 
     @classmethod
-    def of(cls, motion: FilteredRanges, shared_sigma: float) -> "Approach":
+    def of(cls, filtered: Filtered, shared_sigma: float) -> "Approach":
         """The approach by filtered distances; an error of all distances is one of the speed, too,
         but not of the time to collision.
         """
+        motion = filtered.fused
         rate_mps, sigma_mps = motion.rate_mps, motion.rate_sigma_mps
         sigma_mps = np.hypot(sigma_mps, shared_sigma * rate_mps)
-        return cls(-rate_mps, sigma_mps, motion.ttc_s, motion.ttc_sigma_s)
+        is_cut = filtered.lateral.is_cut
+        return cls(-rate_mps, sigma_mps, motion.ttc_s, motion.ttc_sigma_s, is_cut)
 
     @classmethod
     def unknown(cls, n: int) -> "Approach":
         """The approach of n tracks whose motion is unknown."""
-        return cls(*np.full((len(cls.__slots__), n), np.nan))
+        closing_mps, sigma_mps, ttc_s, ttc_sigma_s = np.full((4, n), np.nan)
+        return cls(closing_mps, sigma_mps, ttc_s, ttc_sigma_s, np.zeros(n, np.bool_))
 
 
 class FilterStage:

@@ -109,7 +109,7 @@ class FramePipeline:
             )
             filtered = filtered.corrected(scale.focal)
             ranges = reported(measured, fused, filtered, doubt, scale.focal)
-            approach = Approach.of(filtered.fused, doubt.closing_sigma)
+            approach = Approach.of(filtered, doubt.closing_sigma)
         with stage("world"):
             moved = doubt.widened(ego, scale.focal.corrected_motion(ego.motion))
             world = self.world.update(tracks, filtered, ranges, moved, time_s, scale.focal)

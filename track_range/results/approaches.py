@@ -9,20 +9,18 @@ from typing import Any
 import numpy as np
 
 from track_range.detection.classes import STATIC_CLASSES
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.results.rows.rows import Rows, most_frequent
-
-# largest standard deviation of a distance or closing speed that counts, relative to it
-_MAX_RELATIVE_SIGMA = 0.5
+from track_range.results.rows.supported import supported_values
 
 
 def closest_approaches(rows: Rows) -> list[dict[str, Any]]:
     """One row for each road user (a track, without traffic lights and signs), nearest first.
 
     Keys: `track_id`, `class` (the most frequent class); `min_distance_m` (filtered, else fused),
-    `max_closing_mps` and `min_ttc_s` (also as `min_ttc_front_s`), each with `_at_s`, its time; `min_distance_sigma_m`,
-    `max_closing_sigma_mps`. None = unknown. Distances and closing speeds are from detected boxes,
-    if their sigma is unknown or at most half of the value.
+    `max_closing_mps` and `min_ttc_s` (also as `min_ttc_front_s`), each with `_at_s`, its time;
+    `min_distance_sigma_m`, `max_closing_sigma_mps`. None = no value is supported
+    (`rows.supported`).
     """
     users = [row for row in track_extremes(rows) if row["class"] not in STATIC_CLASSES]
     return sorted(
@@ -32,15 +30,13 @@ def closest_approaches(rows: Rows) -> list[dict[str, Any]]:
 
 def track_extremes(rows: Rows) -> Iterator[dict[str, Any]]:
     """Rows as in `closest_approaches`, but for each track, by increasing track ID."""
-    is_observed = rows["observed"]
     distance_m, sigma_m = reference_distance(rows)
-    closing_mps, spread_mps = rows["closing_mps"], rows["closing_sigma_mps"]
-    certain_m = _counted(distance_m, sigma_m, is_observed)
-    certain_mps = _counted(closing_mps, spread_mps, is_observed)
+    supported = supported_values(rows, distance_m, sigma_m)
+    spread_mps = rows["closing_sigma_mps"]
     measures = (  # key, values whose smallest counts, and standard deviations with their key
-        ("min_distance_m", certain_m, "min_distance_sigma_m", sigma_m),
-        ("max_closing_mps", -certain_mps, "max_closing_sigma_mps", spread_mps),
-        ("min_ttc_front_s", rows["ttc_front_s"], "", None),
+        ("min_distance_m", supported["distance_m"], "min_distance_sigma_m", sigma_m),
+        ("max_closing_mps", -supported["closing_mps"], "max_closing_sigma_mps", spread_mps),
+        ("min_ttc_front_s", supported["ttc_front_s"], "", None),
     )
     for own in rows.by_track():
         row: dict[str, Any] = {"track_id": int(rows["track_id"][own[0]])}
@@ -79,10 +75,3 @@ def reference_distance(
     (first_m, first_sigma_m), (other_m, other_sigma_m) = map(rows.distance, methods)
     is_first = np.isfinite(first_m)
     return np.where(is_first, first_m, other_m), np.where(is_first, first_sigma_m, other_sigma_m)
-
-
-def _counted(values: FloatArray, sigma: FloatArray, is_observed: BoolArray) -> FloatArray:
-    """Positive values of detected boxes that are not too uncertain; NaN for other values."""
-    return np.where(
-        is_observed & (values > 0) & ~(sigma > _MAX_RELATIVE_SIGMA * values), values, np.nan
-    )

@@ -137,6 +137,13 @@ _SUMMARY = _section(
     | None,
     camera_estimate=_CameraEstimate | None,
     mounting=_section(**_all(Figure, "yaw_deg pitch_deg roll_deg sigma_deg"), source=Text) | None,
+    visibility=_section(
+        **_all(Figure, "brightness contrast sharpness outside dark bright flat blurred"),
+        **_all(Text, "sentence figures"),
+        is_low=bool,
+        spans_s=list[list[Number]],
+    )
+    | None,
     baseline_check=_section(sigma=Figure | None, evidence=Text) | None,
 )
 

@@ -14,11 +14,12 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.files.atomic_files import atomic_path, writable
 from track_range.foundation.files.output_files import OutputError
 from track_range.ranging.warning.safety import HALF_WIDTH_M, MAX_GAP_S, post_encroachment_s
-from track_range.results.approaches import row_of_smallest
+from track_range.results.approaches import reference_distance, row_of_smallest
 from track_range.results.folder import read_run_folder
 from track_range.results.formats.parquet_file import PARQUET_FILE, read_tracks_parquet
 from track_range.results.formats.poses_file import Poses, read_poses
 from track_range.results.rows.rows import Rows, most_frequent
+from track_range.results.rows.supported import supported_values
 
 _SMALLEST, _LARGEST = ("gap_m", "headway_s", "ttc_front_s"), ("drac_mps2", "mdrac_mps2")
 _CLIP = "clip="  # start of the folder of a clip's rows in those of a fleet
@@ -64,6 +65,8 @@ def _road_users(
             "versions did not write these measures; repeat the run."
         )
     ego = None if poses is None else np.stack([poses.time_s, poses.x_m, poses.y_m], axis=1)
+    supported = supported_values(rows, *reference_distance(rows))
+    rows = rows.with_columns({name: supported[name] for name in EXTREMES})
     for track in map(rows.select, rows.by_track()):
         name = most_frequent(track["class"])
         if name in ROAD_CLASSES and HALF_WIDTH_M[ROAD_CLASSES.index(name)] > 0:

@@ -273,6 +273,7 @@ class Run:
                         for result in results:
                             session.meter.add(result)
                             session.findings.add(result)
+                            session.visibility.add(result)
                             with defer_interrupts():
                                 output.write(result, session.rows.add)
                             advance(session.meter.status)

@@ -23,6 +23,7 @@ from track_range.run.reports import (
     row_figures,
     speed,
     still_boxes,
+    visibility,
 )
 
 
@@ -49,6 +50,7 @@ class RunSession:
         self.findings = findings.Findings(
             None if boxes.prepare is None else boxes.detect, reader.calibrated_rig
         )
+        self.visibility = visibility.Visibility()
         self._frames = recording.ProcessedFrames(self.rows, reader, settings.every or 1)
         self._cameras = recording.RecordedCameras(reader, settings, opened.region)
         self._pair = recording.PairReport(reader, stages.ego)
@@ -97,12 +99,14 @@ class RunSession:
         recorded = rows.table.to_rows()
         figures = row_figures.RowFigures.of(rows, recorded, truth)
         is_whole = self.course.stopped_by is None and self.settings.duration_s is None
-        self._notes = self._notes_with(
+        seen = report.notes_of([self.visibility])  # the first that is to be known
+        others = self._notes_with(
             labels.FrameNumbers(rows, recorded, self.opened.box_source.frames, truth, is_whole),
             self.findings,
             figures,
             still_boxes.StillBoxes(recorded, self.recording.calibration),
         )
+        self._notes = [*seen, *others]
         facts = {
             "notes": self.notes,
             "health": health_of(self.notes).to_list(),
@@ -120,6 +124,7 @@ class RunSession:
             self._pair,
             stages,
             stages.ranging,
+            self.visibility,
             report.Facts(facts),
             self.origin,
         )

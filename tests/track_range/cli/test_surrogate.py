@@ -23,7 +23,7 @@ def frame(index):
     traffic light."""
     given = result(index)
     pair, motion = np.array, np.array([NAN, NAN])
-    gap_m, ttc_s = 20.0 - index, 4.0 - 0.25 * index
+    gap_m, ttc_s = 20.0 - index, 4.0 - 0.1 * index
     safety = SafetyMeasures(
         pair([gap_m, 9.0]), pair([ttc_s, NAN]), pair([gap_m / 10, NAN]), pair([3.0 + (index == 2), NAN]),
         pair([5.0, NAN]), pair([0.1 * index, 0.0]), pair([0.01 * index, 0.0]), pair([0.0, NAN]), pair([0.1, NAN]),
@@ -40,7 +40,18 @@ def frame(index):
     )
     pose = EgoPose(1.0 * index, 0.0, 0.0, np.zeros((3, 3)))
     time = type(given.frame)(index, index / 10, given.frame.left, None)
-    return changed(given, frame=time, safety=safety, motion=motion, ego_pose=pose)
+    closing_mps = pair([10.0, NAN])
+    return changed(
+        given,
+        frame=time,
+        safety=safety,
+        motion=motion,
+        ego_pose=pose,
+        closing_mps=closing_mps,
+        closing_sigma_mps=0.1 * closing_mps,
+        ttc_s=pair([ttc_s + 0.15, NAN]),
+        ttc_sigma_s=pair([0.1, NAN]),
+    )
 
 
 @pytest.fixture
@@ -56,9 +67,9 @@ def run(tmp_path):
 def test_rows_by_hand(run):
     (car,) = surrogate_rows(run)  # no traffic light
     assert (car["clip"], car["track_id"], car["class"], car["state"]) == ("", 3, "car", "crossing")
-    assert (car["min_gap_m"], car["min_gap_m_at_s"]) == (1.0, pytest.approx(1.9))
-    assert (car["min_ttc_front_s"], car["max_drac_mps2"]) == (-0.75, 4.0)
-    assert car["max_drac_mps2_at_s"] == pytest.approx(0.2)
+    assert (car["min_gap_m"], car["min_gap_m_at_s"]) == pytest.approx((1.0, 1.9))
+    assert (car["min_ttc_front_s"], car["max_drac_mps2"]) == pytest.approx((2.1, 3.19), abs=0.01)
+    assert car["max_drac_mps2_at_s"] == pytest.approx(0.2)  # 4 of one frame does not count
     assert (car["tet_s"], car["tit_s2"]) == (pytest.approx(1.9), pytest.approx(0.19))
     assert car["lead_s"] == pytest.approx(0.5)
     # leaves the path of 2 x 1.8 m between 0.4 and 0.5 s; the front is at x = 12 m at 1.05 s
@@ -99,10 +110,10 @@ def test_table_and_exports(run, tmp_path, cli):
     assert "car 3" in printed
     with (tmp_path / "a.csv").open() as file:
         (row,) = csv.DictReader(file)
-    assert (row["class"], row["max_drac_mps2"], row["clip"]) == ("car", "4", "")
+    assert (row["class"], row["lead_s"], row["clip"]) == ("car", "0.5", "")
     table = parquet.read_table(tmp_path / "a.parquet")
     assert table.column_names == list(row)
-    assert table.column("min_gap_m").to_pylist() == [1.0]
+    assert table.column("min_gap_m").to_pylist() == pytest.approx([1.0])
 
 
 def test_clips_of_a_fleet(run, tmp_path, cli):

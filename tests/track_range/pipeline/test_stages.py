@@ -325,13 +325,13 @@ def test_view_to_the_side_has_closing_speeds_but_no_times_to_collision():
     _, _, ahead = filtered()
     _, _, aside = filtered(Mounting(yaw_deg=-58.0))
     np.testing.assert_array_equal(aside.fused.rate_mps, ahead.fused.rate_mps)
-    assert np.isfinite(Approach.of(ahead.fused, 0.0).ttc_s[0])
-    assert np.isnan(Approach.of(aside.fused, 0.0).ttc_s).all()
+    assert np.isfinite(Approach.of(ahead, 0.0).ttc_s[0])
+    assert np.isnan(Approach.of(aside, 0.0).ttc_s).all()
 
 
 def test_alarms_of_a_run_without_warnings_are_empty():
     frame_ranges, fused, motion = filtered()
-    approach = Approach.of(motion.fused, 0.0)
+    approach = Approach.of(motion, 0.0)
     stage = AlarmStage(CAMERA, None)
     alarms = stage.update(CARS, fused.ranges, motion, approach, KNOWN, Doubt(), None, 0.0)
     assert not alarms.has_warnings
@@ -358,11 +358,33 @@ def test_no_alarm_is_active_while_the_scale_is_in_doubt():
             fused = fusion.fuse(frame_ranges.ranges, IDS, 0.1 * k)
             cars = cars_at(30.0 - k, 60.0)
             motion = filters.update(cars, frame_ranges, fused, KNOWN, 0.1 * k)
-            approach = Approach.of(motion.fused, 0.0)
+            approach = Approach.of(motion, 0.0)
             alarms = stage.update(cars, fused.ranges, motion, approach, KNOWN, doubt, None, 0.1 * k)
             active |= alarms.warnings.active
         is_active[doubt.scale is None] = active.tolist()
     assert is_active == {True: [True, False], False: [False, False]}
+
+
+def test_an_error_that_all_distances_share_hides_no_time_to_collision():
+    """As of a camera without a calibration: it is one of the closing speed, and of no time."""
+    found = []
+    for shared_sigma in (0.0, 0.6):
+        stage, filters, fusion = (
+            AlarmStage(CAMERA, CollisionWarning()),
+            FilterStage(CAMERA),
+            Fusion(),
+        )
+        for k in range(15):
+            frame_ranges = measured(mono=ranges(30.0 - k, 60.0, sigma=0.1))
+            fused = fusion.fuse(frame_ranges.ranges, IDS, 0.1 * k)
+            cars = cars_at(30.0 - k, 60.0)
+            motion = filters.update(cars, frame_ranges, fused, KNOWN, 0.1 * k)
+            approach = Approach.of(motion, shared_sigma)
+            alarms = stage.update(
+                cars, fused.ranges, motion, approach, KNOWN, Doubt(), None, 0.1 * k
+            )
+        found.append(alarms.safety.ttc_front_s[0])
+    assert found[0] == found[1] == pytest.approx((16.0 - 1.5) / 10.0, abs=0.1)
 
 
 def test_positions_are_on_the_rays_of_the_boxes():

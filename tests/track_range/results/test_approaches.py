@@ -24,10 +24,10 @@ def test_detected_and_certain_rows_count():
         "max_closing_mps": 10.0,
         "max_closing_sigma_mps": 1.0,
         "max_closing_mps_at_s": 0.5,
-        "min_ttc_front_s": 0.4,
-        "min_ttc_s": 0.4,
-        "min_ttc_s_at_s": 1.0,
-        "min_ttc_front_s_at_s": 1.0,  # of all approach_rows, as in events.csv and `surrogate`
+        "min_ttc_front_s": 1.5,
+        "min_ttc_s": 1.5,
+        "min_ttc_s_at_s": 0.5,
+        "min_ttc_front_s_at_s": 0.5,
     }
     assert {value for key, value in bus.items() if key not in ("track_id", "class")} == {None}
 
@@ -38,10 +38,10 @@ def test_extremes_of_all_tracks():
 
 def test_fused_distance_without_a_filter():
     columns = {
-        "time_s": np.zeros(2),
-        "track_id": np.ones(2),
-        "class": np.array(["car", "car"]),
-        "fused_m": [NAN, 7.0],
+        "time_s": np.array([0.0, 0.1, 0.2, 0.3]),
+        "track_id": np.ones(4),
+        "class": np.array(["car"] * 4),
+        "fused_m": [NAN, 7.0, 7.0, 7.0],
     }
     (row,) = closest_approaches(Rows(columns))
     assert (row["min_distance_m"], row["min_distance_sigma_m"], row["min_ttc_front_s"]) == (

@@ -27,7 +27,7 @@ CONTRACT = (
     "speed_mps,speed_sigma_mps,heading_deg,world_x_m,world_y_m,state,"
     "gap_m,ttc_front_s,headway_s,drac_mps2,mdrac_mps2,tet_s,tit_s2,lane_index,lane_index_sigma,is_lead,"
     "expansion_ttc_s,expansion_ttc_sigma_s,state_probability,"
-    "lateral_mps,lateral_sigma_mps,vehicle_x_m,vehicle_y_m,vehicle_z_m"
+    "lateral_mps,lateral_sigma_mps,vehicle_x_m,vehicle_y_m,vehicle_z_m,is_cut"
 ).split(",")
 
 

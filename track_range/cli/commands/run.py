@@ -192,7 +192,8 @@ def print_outcome(run: Run, console: Console) -> None:
     users = run.summary["closest_approaches"]
     print_grid(console, *([class_grid(users)] if users else []))
     accuracy = accuracy_lines(run.summary) if run.summary["truth"] else ()
-    print_line(console, *map(printable, event_lines(run.events, len(users))), *accuracy)
+    lines = event_lines(run.events, len(users), run.summary.get("visibility"))
+    print_line(console, *map(printable, lines), *accuracy)
 
 
 @contextmanager

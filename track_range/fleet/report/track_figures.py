@@ -5,7 +5,7 @@ Coverage of a method in a distance band = observed boxes with a distance of the 
 boxes. The band is chosen by the filtered fused distance, which every ranged track has.
 
 Times to collision are `ttc_front_s`, of the front with road users on the path; rows of earlier
-versions have none.
+versions have none. Distances and times are supported ones (`results.rows.supported`).
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from track_range.ranging.truth.errors import BANDS_M
 from track_range.results.approaches import reference_distance
 from track_range.results.rows.columns import distance_names
 from track_range.results.rows.rows import Rows
+from track_range.results.rows.supported import supported_values
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -32,13 +33,15 @@ if TYPE_CHECKING:
 N_RANKED = 20  # number of tracks in a ranking
 # edges of the distance bands: those of the evaluation, and all other distances
 EDGES_M = (0.0, *BANDS_M, float("inf"))
-# largest standard deviation of a ranked distance or time to collision, relative to it
-_MAX_RELATIVE_SIGMA = 0.5
 _MAX_NUMBER = 1e12  # limit of track numbers, and of times in s
 
 _NEEDED = ("time_s", "track_id", "class")
 _OTHERS = (
     "observed",
+    "is_cut",
+    "closing_mps",
+    "closing_sigma_mps",
+    "ttc_s",
     "ttc_front_s",
     "ttc_sigma_s",
     "x_m",
@@ -118,8 +121,8 @@ def track_figures(clip: str, table: pa.Table) -> TrackFigures:
         rows = _ClipRows(table)
         rows.count_tracks(figures)
         rows.count_coverage(figures)
-        figures.closest = _ranked(rows.approaches(clip, rows.precise_m()), "distance_m")
-        figures.collisions = _ranked(rows.approaches(clip, rows.precise_ttc_s()), "ttc_s")
+        figures.closest = _ranked(rows.approaches(clip, "distance_m"), "distance_m")
+        figures.collisions = _ranked(rows.approaches(clip, "ttc_front_s"), "ttc_s")
     return figures
 
 
@@ -159,6 +162,7 @@ class _ClipRows:
         self.class_of_track = [names[code] for code in counts.argmax(axis=1)]
 
         self.distance_m, self.sigma_m = reference_distance(self._rows)
+        self.supported = supported_values(self._rows, self.distance_m, self.sigma_m)
 
     def count_tracks(self, figures: TrackFigures) -> None:
         ends = np.append(self.starts[1:], len(self.track)) - 1
@@ -178,19 +182,6 @@ class _ClipRows:
             is_measured = np.isfinite(self._rows[f"{method}_m"][rows])
             figures.n_measured.update((method, i) for i in band[is_measured].tolist())
 
-    def precise_m(self) -> FloatArray:
-        """Reference distance of the rows where its sigma is small enough or unknown, else NaN."""
-        with np.errstate(invalid="ignore"):
-            return np.where(
-                self.sigma_m > _MAX_RELATIVE_SIGMA * self.distance_m, np.nan, self.distance_m
-            )
-
-    def precise_ttc_s(self) -> FloatArray:
-        """Time to collision of the rows where its sigma is small enough, else NaN."""
-        ttc_s = self._rows["ttc_front_s"]
-        with np.errstate(invalid="ignore"):
-            return np.where(self._rows["ttc_sigma_s"] <= _MAX_RELATIVE_SIGMA * ttc_s, ttc_s, np.nan)
-
     def _lateral_m(self) -> FloatArray:
         """Column x_m; where only the filter has a distance, x of the box centre at this distance,
         by the camera.
@@ -207,14 +198,17 @@ class _ClipRows:
         affine = np.linalg.lstsq((z_m[:, None] * rays)[known], x_m[known])[0]
         return np.where(np.isfinite(x_m), x_m, self.distance_m * (rays @ affine))
 
-    def approaches(self, clip: str, values: FloatArray) -> list[Figures]:
-        """The observed row of each road user with the smallest value, as the moment of the track.
+    def approaches(self, clip: str, measure: str) -> list[Figures]:
+        """The row of each road user with the smallest supported value of a measure, as the moment
+        of the track.
 
         Times are in s of the video (`time_s`) and Unix time (`utc_s`), x positive to the right of
         the camera, m; None = unknown.
         """
+        values = {"distance_m": self.distance_m, "ttc_front_s": self._rows["ttc_front_s"]}
+        values[measure] = self.supported[measure]
         ranked = np.where(
-            self.observed & np.isfinite(self.distance_m) & ~np.isnan(values), values, np.inf
+            np.isfinite(self.distance_m) & ~np.isnan(values[measure]), values[measure], np.inf
         )
         smallest = np.minimum.reduceat(ranked, self.starts)
         tracks = [i for i in np.argsort(smallest, kind="stable").tolist() if smallest[i] < np.inf]
@@ -226,11 +220,11 @@ class _ClipRows:
         columns = {
             "time_s": self.time_s,
             "utc_s": self._rows["utc"],
-            "distance_m": self.distance_m,
+            "distance_m": values["distance_m"],
             "sigma_m": self.sigma_m,
             "x_m": self._lateral_m(),
             "path_offset_m": self._rows["path_offset_m"],
-            "ttc_s": self._rows["ttc_front_s"],
+            "ttc_s": values["ttc_front_s"],
             "ttc_sigma_s": self._rows["ttc_sigma_s"],
         }
         return [

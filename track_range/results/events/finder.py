@@ -29,6 +29,7 @@ from track_range.ranging.warning.safety import (
     apart_m,
     post_encroachment_s,
 )
+from track_range.ranging.warning.settings import WarningSettings
 from track_range.results.events.event import (
     WARNING_KINDS,
     Event,
@@ -36,6 +37,7 @@ from track_range.results.events.event import (
     EventSettings,
     probability_words,
 )
+from track_range.results.rows.supported import supported_values
 
 # largest difference of two tracks of one object: m, plus a fraction
 _NEAR_M, _NEAR_FRACTION = 2.0, 0.15
@@ -48,6 +50,7 @@ _MEASURES = ("gap_m", "ttc_front_s", "headway_s", "drac_mps2", "mdrac_mps2")
 _SMALLEST = ("gap_m", "ttc_front_s", "headway_s")
 _LARGEST = ("closing_mps", "probability", "drac_mps2", "mdrac_mps2")
 _PATH_S = 30.0  # time for which positions of tracks are kept, s
+_RECENT_S = 2.5  # the same of frames with which a value has to agree
 # distance from the edge of the ego path at which an object is clearly in it or beside it, m
 _MARGIN_M = 0.3
 _PERSON = ROAD_CLASSES.index("person")
@@ -62,6 +65,11 @@ _MAX_SPEED_MPS = 70.0  # of a road user; above, the track is wrong
 _CLEAR_SIGMAS = 2.0  # a gap of fewer standard deviations does not exclude a contact
 # of a hard approach, more than tyres allow; above, it was a contact, or wrong
 _MAX_BRAKING_MPS2 = 15.0
+
+
+# probability of contact below which an alarm is for a cut-in, the smallest one that starts another:
+# that of people
+_LEAST_ON = WarningSettings().person_probability
 
 
 Place = tuple[float, float, float]  # time in s, x and y in m in the frame `map`
@@ -100,7 +108,7 @@ class Situation:
                 result.time_s,
                 distance_m=distance_m,
                 closing_mps=result.closing_mps,
-                closing_sigma_mps=result.closing_sigma_mps,
+                ttc_s=np.array([result.approach.ttc_s, result.approach.ttc_sigma_s]),
                 ego_mps=result.ego_mps,
                 warnings=warnings,
             )
@@ -115,6 +123,18 @@ class Situation:
             probability=warnings.probability,
             safety=safety,
         )
+
+    def columns(self, result: FrameResult) -> dict[str, Any]:
+        """(N,) values of the tracks from which the supported ones follow, by name."""
+        approach = result.approach
+        return {
+            "track_id": result.tracks.track_id,
+            "time_s": np.full(len(result.tracks), result.time_s),
+            "observed": result.tracks.observed,
+            **{name: getattr(approach, name) for name in ("is_cut", "ttc_s", "ttc_sigma_s")},
+            **{name: getattr(self, name) for name in _SITUATION[:4]},
+            **{name: getattr(self.safety, name) for name in _MEASURES},
+        }
 
     def values(self, row: int, names: Iterable[str]) -> dict[str, float]:
         """Values of a track, of the situation and of its `SafetyMeasures`, by name."""
@@ -224,6 +244,7 @@ class EventFinder:
         self._alarms: list[_Open] = []  # alarms that have ended
         self._ego: list[Place] = []
         self._paths: dict[int, list[Place]] = {}  # of the tracks
+        self._recent: list[dict[str, Any]] = []  # columns of the last frames
 
     def update(self, result: FrameResult) -> tuple[Event, ...]:
         """Events that ended before this frame and have not been returned yet, in the order of their
@@ -232,6 +253,10 @@ class EventFinder:
         ended = self._close(result.time_s)
         now = Situation.of(result)
         self._follow_paths(result)
+        self._recent = [
+            *(one for one in self._recent if result.time_s - one["time_s"][0] <= _RECENT_S),
+            *([now.columns(result)] if len(result.tracks) else []),
+        ]
         for kind, holds in self._conditions.update(result, now).items():
             for row in holds.nonzero()[0].tolist():
                 self._extend(kind, result, now, row)
@@ -274,6 +299,19 @@ class EventFinder:
         for track_id, x_m, y_m in zip(*(column.tolist() for column in columns), strict=True):
             if math.isfinite(x_m):
                 self._paths.setdefault(track_id, []).append((time_s, x_m, y_m))
+
+    def _supported(self, track_id: int) -> dict[str, float]:
+        """The supported values of a track in this frame, by name; NaN = none."""
+        names = self._recent[-1]
+        own = [one["track_id"] == track_id for one in self._recent]
+        track = {
+            name: np.concatenate(
+                [one[name][rows] for one, rows in zip(self._recent, own, strict=True)]
+            )
+            for name in names
+        }
+        supported = supported_values(track, track["distance_m"], track["sigma_m"])
+        return {name: float(values[-1]) for name, values in supported.items()}
 
     def _with_pet(self, event: Event, paths: list[list[Place]]) -> Event:
         """The event with the smallest PET of its tracks, from the known parts of the paths."""
@@ -336,6 +374,7 @@ class EventFinder:
         """Continue the event of this kind that the track in this row belongs to, or start one."""
         track_id, class_id = int(result.tracks.track_id[row]), int(result.tracks.class_id[row])
         values = now.values(row, (*_SITUATION, *_MEASURES)) | {"ego_mps": result.ego_mps}
+        supported = {**values, **self._supported(track_id)}
         distance_m, offset_m, time_s = values["distance_m"], float(now.offset_m[row]), result.time_s
         group = int(SAME_OBJECT_GROUP[class_id])
         event = self._same(kind, track_id, result, distance_m, offset_m, group)
@@ -359,16 +398,19 @@ class EventFinder:
         if is_active and kind in WARNING_KINDS and math.isnan(event.warning_s):
             event.warning_s = time_s
         extremes = event.extremes
-        if not distance_m >= extremes.get("distance_m", math.inf):
-            extremes["distance_m"], extremes["sigma_m"] = distance_m, values["sigma_m"]
+        if supported["distance_m"] < extremes.setdefault("distance_m", math.inf):
+            extremes["distance_m"], extremes["sigma_m"] = (
+                supported["distance_m"],
+                values["sigma_m"],
+            )
         for name in _SMALLEST:
-            extremes[name] = float(np.fmin(extremes.get(name, math.nan), values[name]))
+            extremes[name] = float(np.fmin(extremes.get(name, math.nan), supported[name]))
         for name in _LARGEST:
-            extremes[name] = float(np.fmax(extremes.get(name, math.nan), values[name]))
-        if kind in ("close_following", "cut_in") and math.isfinite(values["headway_s"]):
-            criticality = -values["headway_s"]
-        elif math.isfinite(values["ttc_front_s"]):
-            criticality = -values["ttc_front_s"]
+            extremes[name] = float(np.fmax(extremes.get(name, math.nan), supported[name]))
+        if kind in ("close_following", "cut_in") and math.isfinite(supported["headway_s"]):
+            criticality = -supported["headway_s"]
+        elif math.isfinite(supported["ttc_front_s"]):
+            criticality = -supported["ttc_front_s"]
         else:
             criticality = -1e3 - float(np.nan_to_num(values["gap_m"]))
         if not event.peak or criticality > event.criticality:
@@ -442,6 +484,7 @@ def _event(event: _Open) -> Event:
     }
     for name in ("distance_m", "closing_mps", "headway_s", "probability"):
         measures[f"peak_{name}"] = peak[name]
+    nearest_m = extremes["distance_m"]  # infinite = none is supported
     return Event(
         kind=event.kind,
         start_s=event.start_s,
@@ -451,8 +494,8 @@ def _event(event: _Open) -> Event:
         frame=int(peak["frame"]),
         track_id=event.peak_track_id,
         class_name=ROAD_CLASSES[event.peak_class],
-        min_distance_m=extremes["distance_m"],
-        min_distance_sigma_m=extremes["sigma_m"],
+        min_distance_m=nearest_m if math.isfinite(nearest_m) else math.nan,
+        min_distance_sigma_m=extremes.get("sigma_m", math.nan),
         min_ttc_s=extremes["ttc_front_s"],
         closing_mps=extremes["closing_mps"],
         ego_mps=peak["ego_mps"],
@@ -476,10 +519,7 @@ def _reason(event: _Open) -> str:
         where = "ahead"
         if event.kind == "pedestrian_on_path":
             where = "on the path" if first["apart_m"] < 0 else "near the path"
-        when = ""
-        if math.isfinite(first["ttc_front_s"]):
-            when = f": contact in {first['ttc_front_s']:.1f} s without braking{_predicted(first)}"
-        return f"{name} {where} at {_metres(first)}{_closing(first)}{when}."
+        return f"{name} {where} at {_metres(first)}{_closing(first)}: {_trigger(first)}."
     if event.kind == "cut_in":
         headway = ""
         if math.isfinite(peak["headway_s"]):
@@ -487,9 +527,9 @@ def _reason(event: _Open) -> str:
         return f"{name} cut in {_metres(peak)} ahead{headway}{_closing(peak)}."
     if event.kind == "close_following":
         return (
-            f"Headway down to {peak['headway_s']:.1f} s behind a {class_name} at "
-            f"{3.6 * peak['ego_mps']:.0f} km/h, {_metres(peak)} ahead, for "
-            f"{event.last_s - event.start_s:.0f} s."
+            f"Headway down to {peak['headway_s']:.1f} s behind a {class_name} "
+            f"{_metres(peak)} ahead, for {event.last_s - event.start_s:.0f} s; own speed "
+            f"{3.6 * peak['ego_mps']:.0f} km/h."
         )
     if event.kind == "hard_approach":
         needed = f"needed braking at {peak['drac_mps2']:.1f} m/s²"
@@ -497,15 +537,33 @@ def _reason(event: _Open) -> str:
     return f"{name} at {_metres(peak)}{_closing(peak)}: {_near(event)}"
 
 
+def _trigger(first: dict[str, float]) -> str:
+    """What started an alarm, with its numbers: a probable contact, or a vehicle that moves into the
+    path at a short headway.
+    """
+    if first["probability"] < _LEAST_ON and first["gap_m"] < math.inf and first["ego_mps"] > 0:
+        headway_s = first["gap_m"] / first["ego_mps"]
+        return f"it moves into the path at a headway of {headway_s:.1f} s"
+    when = ""
+    if math.isfinite(first["ttc_front_s"]):
+        when = f" in {first['ttc_front_s']:.1f} s"
+    needed = ""
+    if math.isfinite(first["mdrac_mps2"]):
+        needed = f", which after 1 s of reaction needs {first['mdrac_mps2']:.1f} m/s²"
+    return f"contact{when} without braking{_predicted(first)}{needed}"
+
+
 def _near(event: _Open) -> str:
     """How near a near miss was, by which cameras, and whether a contact is within its errors."""
     extremes = event.extremes
-    gap_m, sigma_m = extremes["gap_m"], extremes["sigma_m"]
+    gap_m, sigma_m = extremes["gap_m"], extremes.get("sigma_m", math.nan)
     smallest = _metres({"distance_m": gap_m, "sigma_m": sigma_m})
     cameras = "two cameras" if event.peak["is_by_pair"] else "one camera"
+    shortest = ""
+    if math.isfinite(extremes["ttc_front_s"]):
+        shortest = f", smallest time to contact {extremes['ttc_front_s']:.1f} s"
     sentence = (
-        f"smallest gap to the front {smallest}, smallest time to contact "
-        f"{extremes['ttc_front_s']:.1f} s{_predicted(extremes)}; by {cameras}."
+        f"smallest gap to the front {smallest}{shortest}{_predicted(extremes)}; by {cameras}."
     )
     if gap_m < _CLEAR_SIGMAS * sigma_m:
         sentence += " The gap is within two sigma of zero, so that a contact is not excluded."

@@ -274,6 +274,13 @@ _LATER = (  # that were added after all others: readers by position keep their c
         "world.placement.vehicle_m.2",
         "z (above the road) of the same position; empty without the height of the camera",
     ),
+    ResultColumn(
+        "is_cut",
+        "",
+        "approach.is_cut",
+        "1 = the left or right image border cuts the box, so that minima do not count it",
+        "flag",
+    ),
 )
 
 _TRUTH = (  # that are added to the rows where there is ground truth, and are in no file

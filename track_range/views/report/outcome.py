@@ -91,12 +91,14 @@ def html_table(grid: Grid) -> str:
     )
 
 
-def event_lines(events: Sequence[Event], n_users: int) -> Iterator[str]:
+def event_lines(
+    events: Sequence[Event], n_users: int, visibility: Mapping[str, Any] | None = None
+) -> Iterator[str]:
     """The warnings or the number of events of `n_users` road users in one line, then a line for
-    each of the most severe events.
+    each of the most severe events; a low `visibility` in place of no event.
     """
-    headline = event_headline(events, n_users)
-    between = ": " if events else " "
+    headline = event_headline(events, n_users, visibility)
+    between = ": " if events or headline["words"].startswith("The ") else " "
     yield f"{headline['figure']}{between}{headline['words']}."
     listed = sorted(sorted(events, key=severity_key)[:MOST_EVENTS], key=lambda event: event.start_s)
     for event in listed:

@@ -143,7 +143,7 @@ def report_page(
         title=sentences.run_name(summary),
         subtitle=sentences.run_line(summary, len(users), span_s),
         sections={anchor: name for anchor, name in sections.items() if name},
-        headlines=sentences.headlines(rows, users, events),
+        headlines=sentences.headlines(rows, users, events, summary.get("visibility")),
         events=None
         if shown is None
         else event_records(shown, clips_of(events or (), shown, clips or {})),

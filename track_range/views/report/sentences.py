@@ -10,7 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 from urllib.parse import quote
 
 import numpy as np
@@ -23,6 +23,7 @@ from track_range.views import tables
 from track_range.views.report.content.events import (
     kind_counts,
     kind_words,
+    moment_words,
     object_words,
     sigma_words,
     time_words,
@@ -54,15 +55,21 @@ def address(path: str) -> str:
 
 
 def headlines(
-    rows: Rows, users: Sequence[Mapping[str, Any]], events: Sequence[Event] | None
+    rows: Rows,
+    users: Sequence[Mapping[str, Any]],
+    events: Sequence[Event] | None,
+    visibility: Mapping[str, Any] | None = None,
 ) -> list[dict[str, Any]]:
     """The three main results of a run: `figure`, `words`, and `time_s` of the moment in the video,
     if any.
 
-    `users` are `closest_approaches` of the rows; `events` None = unknown.
+    `users` are `closest_approaches` of the rows; `events` None = unknown; `visibility` is the
+    section of the summary: a run that could not see says that in place of what it did not find.
     """
-    first = _user_headline(users) if events is None else event_headline(events, len(users))
-    return [first, _nearest_headline(users), _collision_headline(rows, users)]
+    first = (
+        _user_headline(users) if events is None else event_headline(events, len(users), visibility)
+    )
+    return [first, _nearest_headline(users), _collision_headline(rows, users, visibility)]
 
 
 def _headline(figure: str, words: str, time_s: float | None = None) -> dict[str, Any]:
@@ -76,12 +83,18 @@ def _headline(figure: str, words: str, time_s: float | None = None) -> dict[str,
 def _user_moment(user: Mapping[str, Any], key: str, figure: str, words: str) -> dict[str, Any]:
     time_s = user[f"{key}_at_s"]
     return _headline(
-        figure, f"{words}: {user['class']} {user['track_id']} at {time_words(time_s)}", time_s
+        figure, f"{words}: {user['class']} {user['track_id']}, {moment_words(time_s)}", time_s
     )
 
 
-def event_headline(events: Sequence[Event], n_users: int) -> dict[str, Any]:
-    """The headline of the warnings or, without a warning, of the events of `n_users` road users."""
+def event_headline(
+    events: Sequence[Event], n_users: int, visibility: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """The headline of the warnings or, without a warning, of the events of `n_users` road users;
+    without events, first of a low `visibility`.
+    """
+    if not events and _is_low(visibility):
+        return _headline("Low visibility", visibility["sentence"].rstrip("."))
     if not events and not n_users:
         return _headline("No road user", "was found, so that there was nothing to warn of")
     if not events:
@@ -102,15 +115,20 @@ def event_headline(events: Sequence[Event], n_users: int) -> dict[str, Any]:
             f"{kind_words(events[0].kind)}, {object_words(events[0])}",
             events[0].start_s,
         )
-        return _headline(n_events, f"{what} at {time_words(start_s)}, without a warning", start_s)
+        text = f"{what}, {moment_words(start_s)}, without a warning"
+        return _headline(n_events, text, start_s)
     first, n = warnings[0], len(warnings)
-    text = f"{object_words(first)} at {time_words(first.warning_s)}"
+    text = f"{object_words(first)}, {moment_words(first.warning_s)}"
     text = text if n == 1 else f"the first for {text}"
     return _headline(
         counted(n, "warning"),
         text if len(events) == n else f"{text}; {n_events} in all",
         first.warning_s,
     )
+
+
+def _is_low(visibility: Mapping[str, Any] | None) -> TypeGuard[Mapping[str, Any]]:
+    return bool(visibility and visibility.get("is_low") and visibility.get("sentence"))
 
 
 def _user_headline(users: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -134,7 +152,9 @@ def _nearest_headline(users: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return _user_moment(users[0], "min_distance_m", figure, words)
 
 
-def _collision_headline(rows: Rows, users: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _collision_headline(
+    rows: Rows, users: Sequence[Mapping[str, Any]], visibility: Mapping[str, Any] | None
+) -> dict[str, Any]:
     """Shortest time to collision; without one, the largest probability of contact."""
     known = [user for user in users if user["min_ttc_front_s"] is not None]
     if known:
@@ -145,13 +165,15 @@ def _collision_headline(rows: Rows, users: Sequence[Mapping[str, Any]]) -> dict[
     is_user = np.isin(rows["track_id"], [user["track_id"] for user in users])
     probability = np.where(is_user, rows["contact_probability"], np.nan)
     row = int(np.nanargmax(probability)) if np.isfinite(probability).any() else -1
+    if _is_low(visibility) and not (row >= 0 and probability[row] >= _MIN_PROBABILITY):
+        return _headline("Not known", "how near a collision was: the images show too little")
     if row < 0:
         return _headline("Not known", "no probability of contact could be estimated")
     if probability[row] < _MIN_PROBABILITY:
         limit = f"Below {100 * _MIN_PROBABILITY:.0f} %"
         return _headline(limit, "probability of contact of every road user where it was known")
     time_s, name = float(rows["time_s"][row]), f"{rows['class'][row]} {rows['track_id'][row]}"
-    words = f"largest probability of contact: {name} at {time_words(time_s)}"
+    words = f"largest probability of contact: {name}, {moment_words(time_s)}"
     return _headline(probability_words(float(probability[row])), words, time_s)
 
 

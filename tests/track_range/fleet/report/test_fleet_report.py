@@ -143,9 +143,9 @@ def test_uncertain_times_to_collision_are_not_ranked():
     rows = track_rows(1, "car", near_m=5.0, x_m=0.0, utc_s=None)
     rows["ttc_sigma_s"] = 0.6 * rows["ttc_front_s"]
     assert track_figures("a", rows_table(rows)).collisions == []
-    rows["ttc_sigma_s"][3] = 0.4 * rows["ttc_front_s"][3]
+    rows["ttc_sigma_s"][1:4] = 0.4 * rows["ttc_front_s"][1:4]  # three frames support a minimum
     (collision,) = track_figures("a", rows_table(rows)).collisions
-    assert collision["ttc_s"] == rows["ttc_front_s"][3]
+    assert collision["time_s"] == rows["time_s"][3]
 
 
 def test_errors_and_drift(out):

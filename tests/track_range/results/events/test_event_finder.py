@@ -96,6 +96,42 @@ def test_alarm_is_an_event(class_id: int, kind: str) -> None:
     assert (event.closing_mps, event.ego_mps, event.probability) == (10.0, 10.0, 0.9)
     assert "contact in 2.5 s" in event.reason
     assert "closing at 10.0 ± 0.1 m/s" in event.reason
+    # c / 2 (TTC - 1 s)
+    assert event.reason.endswith(
+        "(predicted probability 90 %), which after 1 s of reaction needs 3.3 m/s²."
+    )
+
+
+def test_reason_of_an_alarm_for_a_vehicle_that_moves_into_the_path() -> None:
+    """Its probability of contact is too low for an alarm: the headway is the reason."""
+    seen = Seen(distance_m=7.0, closing_mps=0.2, probability=0.2, active=True)
+    (event,) = events_of(frame(i, seen, ego_mps=20.0) for i in range(5))
+    assert event.kind == "forward_collision"
+    assert event.reason == (
+        "Car ahead at 7.0 ± 0.7 m: it moves into the path at a headway of 0.3 s."
+    )
+
+
+def test_reason_of_an_alarm_without_a_time_to_collision() -> None:
+    seen = Seen(distance_m=7.0, probability=0.95, active=True, class_id=PERSON)
+    (event,) = events_of(frame(i, seen) for i in range(5))
+    assert "contact without braking (predicted probability 95 %)." in event.reason
+    assert "nan" not in event.reason
+
+
+def test_one_frame_is_no_extreme_of_an_event() -> None:
+    """A distance, speed and time of one frame of an alarm, which the frames around it contradict."""
+
+    def results() -> Iterable[FrameResult]:
+        for i, result in enumerate(approach()):
+            near = Seen(distance_m=5.0, closing_mps=30.0, probability=0.9, active=True)
+            yield frame(i, near, ego_mps=10.0) if i == 20 else result
+
+    (event,) = events_of(results())
+    assert event.min_distance_m == pytest.approx(12.5)
+    assert (event.min_ttc_s, event.gap_m) == pytest.approx((1.1, 11.0))
+    assert (event.closing_mps, event.peak_s) == (10.0, 2.9)
+    assert event.drac_mps2 < 5.0
 
 
 def test_measures_of_an_event() -> None:
@@ -190,7 +226,8 @@ def test_close_following() -> None:
         "truck",
     )
     assert math.isnan(event.warning_s)
-    assert "0.6 s behind a truck at 90 km/h" in event.reason
+    assert "Headway down to 0.6 s behind a truck" in event.reason
+    assert "own speed 90 km/h" in event.reason
     assert events_of(following(8)) == ()  # too short
     assert events_of(following(40, ego_mps=NAN)) == ()
     assert events_of(following(40, gap_m=30.0)) == ()

@@ -216,8 +216,8 @@ def test_headlines_of_events() -> None:
     )
     assert (first["figure"], first["time_s"]) == ("1 warning", 1.5)
     assert nearest == {
-        "figure": "16.1 m",
-        "words": "smallest distance from the camera (±0.5 m): car 1 at 3.9 s",
+        "figure": "16.3 m",
+        "words": "smallest distance from the camera (±0.5 m): car 1, 3.9 s into the video",
         "time_s": 3.9,
     }
     assert (collision["figure"], collision["time_s"]) == ("2.5 s", 0.7)

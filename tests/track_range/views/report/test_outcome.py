@@ -12,6 +12,7 @@ from track_range.views.report.outcome import (
     html_table,
     user_grid,
 )
+from track_range.views.report.sentences import headlines
 
 TIMES = "\N{MULTIPLICATION SIGN}"
 USERS = closest_approaches(ROWS)
@@ -23,8 +24,8 @@ def texts(grid):
 
 def test_extremes_of_a_class_name_track_and_time():
     assert texts(class_grid(USERS)) == [
-        ["person", "1", "8.5", "2 at 0.0 s", "-", "-", "-", "-"],
-        ["car", "1", "15.0 ±0.3", "1 at 0.5 s", "10.0 ±1.0", "1 at 0.5 s", "0.4", "1 at 1.0 s"],
+        ["person", "1", "8.5", "2 at 0.2 s", "-", "-", "-", "-"],
+        ["car", "1", "15.0 ±0.3", "1 at 0.5 s", "10.0 ±1.0", "1 at 0.5 s", "1.5", "1 at 0.5 s"],
         ["bus", "1", "-", "-", "-", "-", "-", "-"],
     ]
 
@@ -32,7 +33,7 @@ def test_extremes_of_a_class_name_track_and_time():
 def test_nearest_road_users():
     grid = user_grid(USERS, 2)
     assert "of 3" in grid.title
-    assert texts(grid)[1] == ["car 1", "15.0 ±0.3", "10.0 ±1.0", "0.4"]
+    assert texts(grid)[1] == ["car 1", "15.0 ±0.3", "10.0 ±1.0", "1.5"]
     assert "<td>car 1</td><td>15.0 ±0.3</td>" in html_table(grid)
     assert html_table(user_grid([], 2)) == ""
 
@@ -46,17 +47,17 @@ def test_events_in_lines():
     assert [*event_lines([], 0)] == [expected]
     warning = event(kind="cut_in", start_s=2.0, warning_s=2.1, reason="A car moved in.")
     first, line = event_lines([warning], 1)
-    assert first == "1 warning: car 7 at 2.1 s."
+    assert first == "1 warning: car 7, 2.1 s into the video."
     assert line.split() == "2.0 s cut-in, car 7: A car moved in.".split()
     others = [event(kind="near_miss", start_s=float(i), warning_s=math.nan) for i in range(6)]
     first, *lines, more = event_lines([warning, *others], 1)
-    assert first == "1 warning: car 7 at 2.1 s; 7 events in all."
+    assert first == "1 warning: car 7, 2.1 s into the video; 7 events in all."
     assert len(lines) == 5
     assert more.strip().startswith("and 2 events more")
     assert next(event_lines(others[:2], 1)) == f"2 events: 2 {TIMES} near miss, without a warning."
     assert (
         next(event_lines(others[2:3], 1))
-        == "1 event: near miss, car 7 at 2.0 s, without a warning."
+        == "1 event: near miss, car 7, 2.0 s into the video, without a warning."
     )
 
 
@@ -74,3 +75,22 @@ def test_accuracy_in_lines():
     assert "within 25 %" in [*accuracy_lines(summary | {"methods": share})][2]
     assert [*accuracy_lines(summary | {"methods": share})][2].endswith("98.6% of the distances")
     assert len([*accuracy_lines(summary | {"methods": {}, "tracks": {"n": 3, "idf1": None}})]) == 1
+
+
+LOW = {"is_low": True, "sentence": "The images are dark in 90 % of the video."}
+
+
+def test_a_run_that_could_not_see_says_that_in_place_of_no_event():
+    assert list(event_lines([], 0, LOW)) == [
+        "Low visibility: The images are dark in 90 % of the video."
+    ]
+    (warning, _) = event_lines([event()], 1, LOW)
+    assert warning.startswith("1 warning")
+    assert "Low" not in next(event_lines([], 0, {**LOW, "is_low": False}))
+
+
+def test_the_cards_of_a_run_that_could_not_see():
+    first, _, collision = headlines(ROWS.select(slice(0)), [], [], LOW)
+    assert (first["figure"], first["words"]) == ("Low visibility", LOW["sentence"].rstrip("."))
+    assert collision["words"] == "how near a collision was: the images show too little"
+    assert "Below" not in str(headlines(ROWS, USERS, [], LOW))

@@ -113,6 +113,13 @@ def test_timeline_counts_road_users() -> None:
     assert "ego" not in data
 
 
+def test_timeline_without_a_track_has_the_time_of_the_run() -> None:
+    """221 frames at 25 frames per second."""
+    data = timeline(Rows(), {"frames": 221, "events": {"hours": 8.84 / 3600}})
+    assert data["to_s"] - data["from_s"] == pytest.approx(8.84)
+    assert data["frame_s"] == pytest.approx(0.04)
+
+
 def test_timeline_of_each_third_frame() -> None:
     columns = {
         "time_s": np.array([0.0, 0.3, 0.9]),

@@ -23,6 +23,7 @@ KIND_WORDS: Mapping[str, str] = {
     "near_miss": "near miss",
 }
 
+_LEAST_SHOWN_MPS2 = 0.05  # a smaller required deceleration would be shown as 0.0
 MAX_EVENTS = 500  # maximum number of events in a page; the most severe ones of a longer run
 
 
@@ -72,7 +73,10 @@ def measurements(event: Event) -> list[str]:
                 f"predicted contact {probability_words(event.peak_probability)}",
             ),
             (event.gap_m, f"smallest gap from the front bumper {gap_m}"),
-            (event.drac_mps2, f"required deceleration up to {event.drac_mps2:.1f} m/s²"),
+            (
+                event.drac_mps2 if event.drac_mps2 >= _LEAST_SHOWN_MPS2 else math.nan,
+                f"required deceleration up to {event.drac_mps2:.1f} m/s²",
+            ),
             (event.pet_s, f"post-encroachment time {event.pet_s:.1f} s"),
         )
         return [text for value, text in state if math.isfinite(value)]
@@ -106,6 +110,11 @@ def time_words(time_s: float) -> str:
     minutes, seconds = divmod(round(time_s), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
+
+
+def moment_words(time_s: float) -> str:
+    """A moment of a video, which is not to be read as a headway or a time to collision."""
+    return f"{time_words(time_s)} into the video"
 
 
 def shown_events(events: Sequence[Event]) -> tuple[Event, ...]:

@@ -26,7 +26,7 @@ LINE_POINTS = 1200  # of a line, longer ones are thinned; a page shows about one
 # numbers in a page, of three to four bytes; 2,000 tracks of 30 frames have 0.9 million
 MOST_CELLS = 1_800_000
 MAX_BINS = 600  # maximum number of points of the timeline; a page shows about one per two pixels
-_DEFAULT_FRAME_S = 0.1  # duration of a frame in s if the rows do not determine it
+_DEFAULT_FRAME_S = 0.1  # duration of a frame in s if nothing shows it
 
 TICKS_PER_S, TICKS_PER_M, TICKS_PER_MPS, TICKS_PER_TTC_S = 1000.0, 100.0, 10.0, 100.0
 """Resolution of times, distances, speeds and times to collision."""
@@ -133,6 +133,14 @@ def _series(track: Rows, methods: list[str]) -> dict[str, Any]:
     return record
 
 
+def _frame_s(summary: Mapping[str, Any], n_frames: float) -> float:
+    """Duration of a frame in s by the processed time of the summary; results of early versions have
+    none.
+    """
+    hours = figure(summary.get("events") or {}, "hours") or 0.0
+    return 3600 * hours / n_frames if hours and n_frames else _DEFAULT_FRAME_S
+
+
 def timeline(rows: Rows, summary: Mapping[str, Any]) -> dict[str, Any]:
     """Data of the timeline: number of road users and ego speed over the time of a run.
 
@@ -142,12 +150,12 @@ def timeline(rows: Rows, summary: Mapping[str, Any]) -> dict[str, Any]:
     """
     time_s, frame = rows["time_s"], rows["frame"]
     first_s, n_frames = figure(summary, "starts_s") or 0.0, figure(summary, "frames") or 0.0
-    frame_s = _DEFAULT_FRAME_S
+    frame_s = default_s = _frame_s(summary, n_frames)
     last_s = first_s + n_frames * frame_s
     if len(time_s):
         between = float(np.ptp(frame)) / every_of(summary.get("settings") or {})
         span = float(np.ptp(time_s))
-        frame_s = span / between if between and span / between > 0 else _DEFAULT_FRAME_S
+        frame_s = span / between if between and span / between > 0 else default_s
         first_s = min(first_s, float(time_s.min()))
         last_s = max(float(time_s.max()) + frame_s, first_s + n_frames * frame_s)
     span_s = max(last_s - first_s, frame_s)
