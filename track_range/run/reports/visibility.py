@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.errors import Note
 from track_range.pipeline.frame_result import FrameResult
 from track_range.run.reports.report import Reports
 from track_range.stereo.geometry.frames import ImageView
@@ -101,7 +102,8 @@ class Visibility(Reports):
         section = self.summary().get("visibility", {})
         if not section.get("sentence"):
             return ()
-        return (f"{section['sentence'].rstrip('.')} ({section['figures']}).",)
+        sentence = f"{section['sentence'].rstrip('.')} ({section['figures']})."
+        return (Note(sentence, "low-visibility", "warning", "left"),)
 
     def summary(self) -> Mapping[str, Any]:
         """Section `visibility`: medians, the fraction of the frames outside of what was measured, in

@@ -41,6 +41,7 @@ def test_what_is_outside_of_the_measured_range_is_said_with_its_numbers(image, f
     section = visibility.summary()["visibility"]
     assert (section[fault], section["outside"], section["is_low"]) == (1.0, 1.0, True)
     (note,) = visibility.notes()
+    assert (note.code, note.severity) == ("low-visibility", "warning")
     assert note == f"{section['sentence'].rstrip('.')} ({section['figures']})."
     assert word in note
     assert "100 % of the video, from 0.0 to 4.0 s" in note
