@@ -210,7 +210,7 @@ def test_headlines_of_events() -> None:
         "fused_sigma_m": np.full(40, 0.5),
         "ttc_s": np.full(40, 1.0),
     }
-    columns["ttc_front_s"][7] = 2.5
+    columns["ttc_front_s"][5:8] = [2.7, 2.6, 2.5]
     first, nearest, collision = shown(
         columns, [event(), event(kind="forward_collision", warning_s=1.5)]
     )

@@ -70,7 +70,7 @@ def test_road_users_of_one_run_are_named():
     (pair,) = compared_tracks(runs)
     assert pair["sentences"] == [
         "1 road user in both runs.",
-        "Only in stereo: car 2 (20.0 m at 0.0 s).",
+        "Only in stereo: car 2 (20.0 m at 0.2 s).",
     ]
     assert [cell.text for cell in pair["grid"].rows[0]][:3] == [
         "car 1 / car 5",
