@@ -169,7 +169,7 @@ def _figures(
         **by_band,
         "false_per_image": n_false / len(images),
         **{
-            name: float(np.median([getattr(look, name) for look in looks]))
+            name: float(np.nanmedian([getattr(look, name) for look in looks]))
             for name in ("brightness", "contrast", "sharpness")
         },
     }
