@@ -202,6 +202,7 @@ def test_settings_of_clips_and_fleets():
     )
     assert [name for name in sorted(CLIP_SETTINGS) if is_file_setting(name, "a")] == [
         *("align", "curves", "detections", "ego_speed", "rig", "truth", "truth_calib"),
+        "truth_poses",
     ]
     assert not any(
         is_file_setting(name, value)

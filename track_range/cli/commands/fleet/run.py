@@ -15,6 +15,7 @@ from track_range.run.options.settings import RunSettings
 
 if TYPE_CHECKING:
     from track_range.fleet.inputs.clip import Clip
+    from track_range.fleet.inputs.dry_run import CheckedClip
 
 # words of the help texts of a run, and what they are in a fleet, which has no --mono and --stereo
 _IN_HELP = {
@@ -105,13 +106,8 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
         [task.clip for task in todo], has_camera=has_camera, cameras=cameras, **checked_settings
     ):
         seconds += checked.duration_s or 0.0
-        line = f"{checked.clip.name}: {Location.of(checked.clip.left)}"
-        line += "" if checked.size_px is None else f", {checked.size_px[0]}x{checked.size_px[1]}"
-        line += "" if checked.fps is None else f" at {checked.fps:.3g} Hz"
-        line += "" if checked.duration_s is None else f", {duration_text(checked.duration_s)}"
-        line += f", calibration: {checked.calibration}" if checked.calibration else ""
         texts = (f"  - {printable(text)}" for text in checked.problems)
-        print_line(console, printable(line), *texts)
+        print_line(console, printable(_clip_line(checked)), *texts)
         notes.update(checked.notes)
         problems += [(checked.clip.name, problem) for problem in checked.problems[:1]]
     print_notes(console, (f"{note} ({counted(n, 'clip')})" for note, n in notes.items()))
@@ -126,6 +122,17 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
         raise ClipsFailedError(
             f"{len(problems)} of {len(clips)} clips cannot be processed; see the list above."
         )
+
+
+def _clip_line(checked: CheckedClip) -> str:
+    from track_range.fleet.output.state import duration_text
+    from track_range.fleet.storage.location import Location
+
+    line = f"{checked.clip.name}: {Location.of(checked.clip.left)}"
+    line += "" if checked.size_px is None else f", {checked.size_px[0]}x{checked.size_px[1]}"
+    line += "" if checked.fps is None else f" at {checked.fps:.3g} Hz"
+    line += "" if checked.duration_s is None else f", {duration_text(checked.duration_s)}"
+    return line + (f", calibration: {checked.calibration}" if checked.calibration else "")
 
 
 def _parameters() -> list[Parameter]:
