@@ -144,7 +144,7 @@ MOST_STATEMENTS = {
     # `evaluate run` (15)
     # `check` (15)
     # events of a fleet that meet a condition (41), scenarios of events, and notes of a dry run (10)
-    "cli": 2_582,
+    "cli": 2_586,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (143), several drives together, and intervals of rates (49)
