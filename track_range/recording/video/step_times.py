@@ -63,7 +63,8 @@ class StepTimes:
             if self._increases(moment):
                 return moment
         last = self.last
-        after = "" if last is None else f" after {last.ns or last.clock_s * _NS:.0f} ns, {_OF_LAST}"
+        last_ns = None if last is None else last.ns or round(last.clock_s * _NS)
+        after = "" if last_ns is None else f" after {last_ns} ns, {_OF_LAST}"
         raise FrameError(f"time_ns: expected whole nanoseconds{after}, found {time_ns!r}.")
 
     def since_first_s(self, moment: Moment) -> float:
