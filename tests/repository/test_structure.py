@@ -214,7 +214,7 @@ MOST_STATEMENTS = {
     # depth tracks by their names, counters behind dates, offsets of unequal rates (7)
     # fields of view and models of lenses that the user knows (75), and files that count for a folder (15)
     # pixel formats of cameras as one table, also for bags (60), and times in nanoseconds (45)
-    "recording": 8_210,
+    "recording": 8_211,
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)
     # the shape of an estimate of a camera (20)
