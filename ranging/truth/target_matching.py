@@ -34,7 +34,7 @@ _MAX_OFFSET_SIGMA_S = 0.3  # of an offset that is used
 _FEWEST_GROUPS = 4
 _MOST_NAMED = 5  # targets that a note names
 _LEAST_MISFIT = 1e-6  # square of 0.1 %: exact measurements of exact targets
-_MOST_ROWS = 5_000  # that find the coarse offset
+_MOST_ROWS = 5_000  # that show the offset
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ def match_targets(table: TargetTable, rows: MeasuredRows) -> MatchedTargets:
         totals = [_gains(table, some, offset).clip(min=0).max(axis=1).sum() for offset in coarse]
         # of equal ones that nearest to 0
         best = max(zip(totals, -np.abs(coarse), coarse, strict=True))[2]
-        offset_s, sigma_s = _fine_offset(table, rows, float(best))
+        offset_s, sigma_s = _fine_offset(table, some, float(best))
         if not sigma_s <= _MAX_OFFSET_SIGMA_S:
             offset_s = 0.0
     target = _assigned(table, rows, offset_s)

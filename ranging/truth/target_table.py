@@ -48,6 +48,14 @@ class TargetTable:
     # time of the video minus that of the log; None = to be estimated
     offset_s: float | None = None
 
+    def check_clock(self, *, has_utc: bool) -> None:
+        """LabelFileError for times of day, if those of the video are unknown."""
+        if self.clock == "utc_s" and not has_utc:
+            raise LabelFileError(
+                f"{self.path}: utc_s needs the time of the video, which is unknown; give --start-utc, "
+                "or a column time_s."
+            )
+
     def at(self, number: int, time: FloatArray) -> FloatArray:
         """(3, M) values of a target at the times (M,) of its clock; NaN where it has none."""
         rows = self.target == number

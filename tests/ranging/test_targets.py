@@ -8,6 +8,7 @@ import pytest
 
 from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.foundation.arrays import FloatArray
+from track_range.ranging.truth import target_matching
 from track_range.ranging.truth.target_matching import (
     MatchedTargets,
     MeasuredRows,
@@ -193,3 +194,13 @@ def test_which_tables_have_targets() -> None:
     assert is_target_table(["utc_s", "id", "x_m", "y_m"])
     assert not is_target_table("frame,id,class,x1,y1,x2,y2,distance_m,range_m".split(","))
     assert not is_target_table(["time_s", "id", "x_m"])
+
+
+def test_long_runs_show_the_offset_by_some_of_their_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(target_matching, "_MOST_ROWS", 150)
+    targets = read_targets(table(tmp_path / "log.csv", shift_s=0.73))
+    matches, names = matched_names(targets, rows(ALL))
+    assert set(names.values()) == set(PATHS)
+    assert matches.offset_s == pytest.approx(0.73, abs=0.15)

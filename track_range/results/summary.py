@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
-from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.truth.errors import (
     BANDS_M,
@@ -98,10 +97,7 @@ def matched_truth(rows: Rows, truth: Truth) -> MatchedTruth:
 def _matched_targets(rows: Rows, truth: Truth, table: TargetTable) -> MatchedTruth:
     """Targets matched to whole tracks: a label per matched row, whose box is that of the row."""
     clock = rows["utc"] if table.clock == "utc_s" else rows[table.clock]
-    if table.clock == "utc_s" and not np.isfinite(clock).any():
-        raise LabelFileError(
-            f"{table.path}: utc_s needs the time of the video; give --start-utc, or a column time_s."
-        )
+    table.check_clock(has_utc=bool(np.isfinite(clock).any()))
     distance_m, sigma_m = reference_distance(rows, ("fused", "fused_kf"))
     values = np.stack([distance_m, rows["x_m"], rows["closing_mps"]])
     sigmas = np.stack([sigma_m, rows["x_sigma_m"], rows["closing_sigma_mps"]])

@@ -108,6 +108,8 @@ def open_run(
         calibration, path = recording.calibration, settings.truth
         shift_m, choices = calibration.left_from_reference_m, settings.truth_choices
         truth = None if path is None else read_truth(path, calibration.camera, shift_m, choices)
+        if truth is not None and truth.targets is not None:
+            truth.targets.check_clock(has_utc=recording.utc is not None)
         region = settings.region or _region_of(speed.track)
         # frames at the pace of a camera do not wait, and are not the same in another run
         is_live = recording.live is not None or settings.realtime
