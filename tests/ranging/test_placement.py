@@ -23,7 +23,7 @@ DISTANCE_M, SIGMA_M = np.array([20.0, 40.0]), np.array([0.5, 3.0])
 def placed(placements=None, *, time_s=0.0, observed=(True, True), ego=None, rays=RAYS):
     n = len(rays)
     state = ConstantVelocity(*(np.full(n, value) for value in (1.0, -1.5, 0.04, 0.0, 0.25)))
-    lateral = LateralMotion(state, np.ones(n), np.ones(n, np.bool_))
+    lateral = LateralMotion(state, np.ones(n), np.ones(n, np.bool_), np.zeros(n, np.bool_))
     ids = np.arange(n)
     return (placements or Placements()).update(
         ids,
