@@ -43,6 +43,10 @@ WORKLOADS = {
         "accuracy.detection.far_pass",
         "far road users by the size of the input, and with a second pass",
     ),
+    "fixed": (
+        "accuracy.ranging.fixed",
+        "speeds and counts of cameras that stand still, in simulated streets",
+    ),
     "fixed_parts": (
         "accuracy.detection.fixed_parts",
         "boxes that burnt-in text adds, and true boxes that are lost with it",

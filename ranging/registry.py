@@ -109,6 +109,9 @@ def create_rangers(
     """
     rangers: dict[str, Ranger] = {}
     for method in in_measuring_order(methods() if listed is None else listed):
+        is_for_plane = method.uses_road_plane or "right_image" in method.needs
+        if context.road_plane is not None and not is_for_plane:
+            continue  # sizes and horizons are learnt from drives
         if method.needs <= context.available:
             with named_errors(
                 method.create.__module__, f"ranging method {method.name!r}", MethodError

@@ -53,7 +53,10 @@ if TYPE_CHECKING:
     from track_range.ranging.warning.collision_warning import CollisionWarning as CollisionWarning
     from track_range.ranging.warning.settings import WarningSettings as WarningSettings
     from track_range.ranging.warning.warnings import Warnings as Warnings
+    from track_range.ranging.world.ground_file import load_ground as load_ground
+    from track_range.ranging.world.road_plane import RoadPlane as RoadPlane
     from track_range.recording.video.pixel_formats import decoded_image as decoded_image
+    from track_range.results.counts.counter import LineCounter as LineCounter
     from track_range.results.events.event import Event as Event
     from track_range.results.events.files import read_events as read_events
     from track_range.results.writers import register_writer as register_writer
@@ -110,6 +113,9 @@ _NAMES = LazyNames(
         "track_range.ranging.warning.settings": "WarningSettings",
         "track_range.stereo.geometry.rectification": "Rectifier",
         "track_range.stereo.alignment.file": "load_alignment",
+        "track_range.ranging.world.road_plane": "RoadPlane",
+        "track_range.ranging.world.ground_file": "load_ground",
+        "track_range.results.counts.counter": "LineCounter",
         "track_range.views.overlay.annotator": "Overlay",
         "track_range.views.report.page": "write_report",
         "track_range.ranging.methods.method": "Ranger RangingMethod MethodContext ErrorSource",

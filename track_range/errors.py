@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from track_range.foundation.files.output_files import OutputError as OutputError
     from track_range.pipeline.state import StateError as StateError
     from track_range.ranging.methods.method import MethodError as MethodError
+    from track_range.ranging.world.road_plane_fit import GroundError as GroundError
     from track_range.recording.video.frame import FrameError as FrameError, VideoError as VideoError
     from track_range.results.events.files import EventFileError as EventFileError
     from track_range.results.writers import WriterError as WriterError
@@ -38,6 +39,7 @@ _NAMES = LazyNames(
         "track_range.detection.formats.tables.errors": "LabelFileError",
         "track_range.results.events.files": "EventFileError",
         "track_range.ranging.methods.method": "MethodError",
+        "track_range.ranging.world.road_plane_fit": "GroundError",
         "track_range.tracking.registry": "TrackerError",
         "track_range.results.writers": "WriterError",
         "track_range.foundation.files.output_files": "OutputError",

@@ -45,6 +45,7 @@ from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.methods.known_plane import KnownPlaneRanger
 from track_range.ranging.methods.method import (
     ErrorSource,
     Measured,
@@ -599,6 +600,8 @@ def _distance_on_curve_m(below: FloatArray, H: FloatArray, k: FloatArray) -> Flo
 
 
 def _create(context: MethodContext) -> Ranger:
+    if context.road_plane is not None:
+        return KnownPlaneRanger(context.road_plane)
     height_m, box_sigma_px = context.camera_height_m, context.box_sigma_px
     settings = GroundSettings() if height_m is None else GroundSettings.of_known_height(height_m)
     settings = replace(settings, has_visible_boxes=context.has_visible_boxes)
@@ -619,6 +622,7 @@ GROUND = RangingMethod(
     colour="#73702e",
     create=_create,
     reads=("mono",),
+    uses_road_plane=True,
     error_sources=(
         ErrorSource("horizon", systematic=0.25),
         ErrorSource("contact_point", systematic=0.2, independent=0.4),

@@ -24,6 +24,7 @@ from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.region import Region
 from track_range.ranging.size_models.size_model import SizeModel
+from track_range.ranging.world.road_plane import RoadPlane
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
@@ -171,6 +172,8 @@ class MethodContext:
         camera_height_m: height of the camera above the road; None = unknown.
         region: region of the recording.
         lane_width_m: distance between the centre lines of the lane markings; None = not given.
+        road_plane: the plane of the road before a camera that stands still; None = unknown. Then only
+            methods that use it run, and those of a pair.
         has_images: whether frames have pixels; False if only boxes are evaluated.
         has_visible_boxes: whether boxes end where a nearer object begins, as the boxes of a
             detector do.
@@ -191,6 +194,7 @@ class MethodContext:
     region: Region = "unknown"
     lane_width_m: float | None = None
     has_images: bool = True
+    road_plane: RoadPlane | None = None
     has_visible_boxes: bool = False
     has_lane_lines: bool = False
     has_dense_disparity: bool = False
@@ -257,6 +261,8 @@ class RangingMethod:
             error is part of the covariance, but is not estimated from differences to other methods.
         measures_distance: False for a method that gives details or growths only; it has no error
             sources.
+        uses_road_plane: whether it measures with the known plane of the road before a camera that
+            stands still.
         is_filtered: whether it also has a filter over time (`NAME_kf_m`).
         details: names of further values of each track, in `Ranges.details`, perhaps with their
             meanings for the documentation; their columns are NAME_DETAIL.
@@ -274,6 +280,7 @@ class RangingMethod:
     is_scale_reference: bool = False
     measures_distance: bool = True
     is_filtered: bool = False
+    uses_road_plane: bool = False
     details: Mapping[str, str] | tuple[str, ...] = field(default=(), hash=False)
 
     def __post_init__(self) -> None:

@@ -41,7 +41,7 @@ _LIMITS = {
     "roll_deg": (-180.0, 180.0),
     "x_m": (-30.0, 30.0),
     "y_m": (-5.0, 5.0),
-    "z_m": (0.2, 5.0),
+    "z_m": (0.2, 60.0),  # of a camera on a mast or a building
     "front_m": (-30.0, 30.0),
     "sigma_deg": (0.0, 90.0),
 }

@@ -94,7 +94,7 @@ def test_parts_of_a_text():
         (["yaw=1", "yaw=2"], "twice"),
         (["yaw=200"], "-180 to 180"),
         (["yaw=nan"], "nan"),
-        (["z=20"], "0.2 to 5"),
+        (["z=70"], "0.2 to 60"),
         (["x=2,front=1.5"], "front.*at least at x of the camera, 2, found 1.5"),
     ],
 )

@@ -264,6 +264,72 @@ class DriveSettings(RoadOptions, DriveInputs):
     """Options of `track-range calibrate drive`."""
 
 
+class GroundCalibrationSettings(Options):
+    """Options of `track-range calibrate ground`."""
+
+    recording: Annotated[
+        str,
+        option("Video of the camera, or a folder of images.", metavar="VIDEO", is_argument=True),
+    ]
+    known_point: Annotated[
+        tuple[str, ...],
+        option(
+            "Point of the road in px and in metres: '410,620=0,0'; at least four of them, or lengths "
+            "besides. Repeat the option for further points.",
+            metavar="X,Y=X_M,Y_M",
+            is_repeated=True,
+        ),
+    ] = ()
+    known_length: Annotated[
+        tuple[str, ...],
+        option(
+            "Length on the road between two pixels, in metres: '410,620,905,622=7.0'. Repeat the "
+            "option for further lengths.",
+            metavar="X1,Y1,X2,Y2=M",
+            is_repeated=True,
+        ),
+    ] = ()
+    known_parallel: Annotated[
+        tuple[str, ...],
+        option(
+            "Two lines on the road that are parallel, such as kerbs, by two pixels of each: "
+            "'300,700,610,250,980,700,690,250'. Repeat the option for further pairs.",
+            metavar="X1,Y1,...,X4,Y4",
+            is_repeated=True,
+        ),
+    ] = ()
+    rig: Annotated[
+        Path | None,
+        option("Calibration file of the camera (default: none, or that beside the video)."),
+    ] = None
+    focal_px: Annotated[
+        float | None, option("Focal length in px, if it is known.", metavar="PX", gt=0)
+    ] = None
+    camera_height_m: Annotated[
+        float | None,
+        option("Measured height of the camera above the road in m.", metavar="M", gt=0.2, le=60),
+    ] = None
+    pitch_deg: Annotated[
+        float | None,
+        option(
+            "Measured pitch of the camera in degrees, positive = down.",
+            metavar="DEG",
+            ge=-10,
+            le=90,
+        ),
+    ] = None
+    at_s: Annotated[
+        float, option("Time of the image in the video, in seconds.", flag="--at", metavar="S", ge=0)
+    ] = 0.0
+    out: Annotated[Path, option("File to write, ground.yaml.", metavar="FILE")] = Path(
+        "ground.yaml"
+    )
+    picture: Annotated[
+        Path | None,
+        option("Picture of the fit to write: a grid of 5 m on the road.", metavar="FILE.png"),
+    ] = None
+
+
 class CalibrationSettings(RoadOptions, BoardOptions):
     """Options of `track-range calibrate`, with a board or from one drive."""
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
@@ -22,6 +23,7 @@ from track_range.stereo.speed.given_speed import GivenSpeed
 
 # of the speed of the road with a height that is not given, for notes
 _BY_SIZES = "with an estimated height of the camera"
+AT_REST = EgoMotion(0.0, 0.0, 0.0, is_still=True)  # of a camera that stands still
 _SLOPES = 0.06  # of the speed by the motion of the road, by slopes, which last for some seconds
 
 
@@ -226,6 +228,21 @@ class EgoStage:
         if self.image_motion is not None:
             return self.image_motion.update(frame.left, frame.time_s, xyxy_px).yaw_rad_s
         return math.nan
+
+
+@dataclass(slots=True, kw_only=True)
+class StandingCamera(EgoStage):
+    """The motion of a camera that stands still, which asks nothing."""
+
+    def update(self, frame: Frame, xyxy_px: FloatArray, *_: Any, **__: Any) -> Ego:
+        """No motion."""
+        del frame, xyxy_px
+        return Ego(motion=AT_REST)
+
+    def predicted(self, time_s: float, *_: Any, **__: Any) -> Ego:
+        """No motion."""
+        del time_s
+        return Ego(motion=AT_REST)
 
 
 def _in_camera(

@@ -8,6 +8,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.filtering import Filtered
+from track_range.ranging.filtering.lateral_motion import LateralMotion
 from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.size_models.class_sizes import ClassSizes
@@ -15,6 +16,7 @@ from track_range.ranging.size_models.size_model import BoxNoise
 from track_range.ranging.world.ego_path import EgoPath, EgoPose
 from track_range.ranging.world.object_motion import ObjectMotion, ObjectMotions
 from track_range.ranging.world.placement import Placement, Placements
+from track_range.ranging.world.road_motion import RoadMotions
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.mounting import Mounting, looks_ahead
 from track_range.stereo.odometry.ego_motion import EgoMotion
@@ -56,11 +58,14 @@ class WorldStage:
         centre_sigma_px: float = 0.0,
         mounting: Mounting | None = None,
         sizes: ClassSizes | None = None,
+        road: RoadMotions | None = None,
     ) -> None:
         """`centre_sigma_px` is the standard deviation of the camera's principal point; with a
         `mounting`, states of motion are relative to the drive, and positions in the vehicle are
-        known; `sizes` are those of the classes.
+        known; `sizes` are those of the classes. `road` has the motion on the plane of the road
+        before a camera that stands still, and its frame is `map`.
         """
+        self.road = road
         self._camera, self._centre_sigma_px = camera, centre_sigma_px
         self._is_ahead = looks_ahead(mounting)
         axis_deg = 0.0 if mounting is None else mounting.yaw_deg
@@ -85,15 +90,7 @@ class WorldStage:
         if not self._is_ahead:  # the visible side is not at the depth of the centre
             x_m = rays[:, 0] * filtered.fused.state.x
             lateral = replace(lateral, state=replace(lateral.state, x=x_m))
-        motion = self._motions.update(
-            tracks.track_id,
-            tracks.class_id,
-            replace(filtered.fused, ranges=ranges["fused_kf"]),
-            lateral,
-            time_s,
-            ego=ego,
-            pose=pose,
-        )
+        motion, pose = self._moved(tracks, filtered, ranges, lateral, time_s, ego, pose)
         fused = ranges["fused"]
         distance_m, sigma_m = fused.distance_m[:, None], fused.sigma_m[:, None]
         direction = self._direction_sigma(tracks, camera)
@@ -109,6 +106,30 @@ class WorldStage:
             ego=ego,
         )
         return World(rays * distance_m, xy_sigma_m, motion, pose, placement)
+
+    def _moved(
+        self,
+        tracks: Tracks,
+        filtered: Filtered,
+        ranges: Mapping[str, Ranges],
+        lateral: LateralMotion,
+        time_s: float,
+        ego: EgoMotion,
+        pose: EgoPose,
+    ) -> tuple[ObjectMotion, EgoPose]:
+        """The motion of the tracks and the pose of the camera in `map`."""
+        if self.road is not None:
+            return self.road.update(tracks, time_s), self.road.plane.pose
+        motion = self._motions.update(
+            tracks.track_id,
+            tracks.class_id,
+            replace(filtered.fused, ranges=ranges["fused_kf"]),
+            lateral,
+            time_s,
+            ego=ego,
+            pose=pose,
+        )
+        return motion, pose
 
     def _direction_sigma(self, tracks: Tracks, camera: PinholeCamera) -> FloatArray:
         """(N, 2) standard deviations of x and y of the rays through the middles of the boxes."""

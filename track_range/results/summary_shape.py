@@ -43,6 +43,30 @@ class _RigDistance(_Figures):
     distance_m: Number
 
 
+class _UserSpeed(_Figures):
+    track_id: Number
+    road_class: Annotated[str, Field(strict=True, alias="class")]
+    speed_kmh: Figure
+    speed_sigma_kmh: Figure
+    from_s: Number
+
+
+class _LineCounts(_Section):
+    n: Number
+    by_direction: dict[str, Number]
+    by_class: dict[str, dict[str, Number]]
+    n_speeds: Number
+    median_speed_kmh: Figure
+    p85_speed_kmh: Figure
+
+
+class _ZoneCounts(_Section):
+    n_enter: Number
+    n_exit: Number
+    median_dwell_s: Figure
+    mean_speed_kmh: Figure
+
+
 class _Approach(_Figures):
     track_id: Number
     road_class: Annotated[str, Field(strict=True, alias="class")]
@@ -144,6 +168,12 @@ _SUMMARY = _section(
         spans_s=list[list[Number]],
     )
     | None,
+    fixed_camera=_section(
+        ground=_section(source=Text, height_m=Figure, pitch_deg=Figure, focal_px=Figure) | None,
+        road_users=list[_UserSpeed],
+    )
+    | None,
+    counts=_section(lines=dict[str, _LineCounts], zones=dict[str, _ZoneCounts]) | None,
     baseline_check=_section(sigma=Figure | None, evidence=Text) | None,
 )
 

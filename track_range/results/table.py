@@ -20,6 +20,7 @@ import numpy.typing as npt
 from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.output_files import OutputError
 from track_range.pipeline.frame_result import FrameResult
+from track_range.results.counts.counter import LineCounter
 from track_range.results.events.event import Event
 from track_range.results.events.finder import EventFinder
 from track_range.results.rows.arrow import record_batch, rounded_batch, rows_schema
@@ -173,6 +174,7 @@ class RunRows:
 
     fps: float = 0.0  # nominal, for the duration of the last frame; 0 = unknown
     finder: EventFinder = field(default_factory=EventFinder)
+    counter: LineCounter = field(default_factory=lambda: LineCounter(()))
     table: RunTable = field(default_factory=RunTable)
     # those that have ended; after `finish` all, in the order of their starts
     events: tuple[Event, ...] = ()
@@ -192,6 +194,7 @@ class RunRows:
         """
         self.table.append(result)
         ended = self.finder.update(result)
+        self.counter.update(result)
         self.events += ended
         self.last_s = result.time_s
         if not self.frame_index:
@@ -206,6 +209,7 @@ class RunRows:
         progress.
         """
         self.events = self.finder.finish()
+        self.counter.finish()
 
     @property
     def seconds(self) -> float:

@@ -45,6 +45,7 @@ _RUN_FILES = (  # besides those of its writers
         "report.html",
     ),
     *("events.csv", "events.parquet", "telemetry.csv", "evaluation.json"),
+    *("crossings.csv", "crossings.parquet"),
 )
 
 

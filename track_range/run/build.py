@@ -20,7 +20,7 @@ from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.pipeline.alarming import AlarmStage
 from track_range.pipeline.detecting import DetectionStage
 from track_range.pipeline.doubting import DoubtStage
-from track_range.pipeline.ego import EgoStage
+from track_range.pipeline.ego import EgoStage, StandingCamera
 from track_range.pipeline.filtering import FilterStage
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.ranging import RangingStage
@@ -38,6 +38,9 @@ from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.region import Region
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.warning.settings import WarningSettings
+from track_range.ranging.world.ground_file import checked_plane, read_ground
+from track_range.ranging.world.road_motion import RoadMotions
+from track_range.ranging.world.road_plane import RoadPlane
 from track_range.recording.cameras.calibration import LensView, RecordingCalibration, calibration_of
 from track_range.recording.recording import Recording, open_recording
 from track_range.run.box_source import BoxSource, boxes_of
@@ -65,8 +68,16 @@ _OTHER_HEIGHT = Note(
     "ok",
     "calibration",
 )
+_BY_SIZES = Note(
+    "The speeds of this fixed camera rest on usual sizes of road users; give --ground, or the height "
+    "and pitch of the camera by --mount, for speeds by the plane of the road.",
+    "fixed-camera-without-ground",
+    "warning",
+    "calibration",
+)
 
 # images of the warm-up, and what moves in them
+_FOCAL_SIGMA = 0.005  # of a calibrated focal length, at least
 _WARM_UP_PX, _FOCAL_PX, _BASELINE_M = (640, 360), 500.0, 0.3
 _STEP_S, _N_STEPS = 0.1, 6  # a track is ranged from its third frame on
 _MOTION_PX, _DISPARITY_PX = 4, 10
@@ -92,6 +103,9 @@ def open_input(
     options = settings.recording
     if rig is not None:
         options = replace(options, rig=rig)
+    elif settings.ground is not None and options.rig is None and options.focal_px is None:
+        focal_px = read_ground(settings.ground).plain_focal_px
+        options = replace(options, focal_px=focal_px)
     return open_recording(left, right, options, progress=progress)
 
 
@@ -117,8 +131,9 @@ def open_pipeline(
     other packages depend on each other in a cycle.
     """
     mounting = calibration.view_mounting(settings.mounting)
-    is_ahead = looks_ahead(mounting)
+    is_ahead = looks_ahead(mounting) and not settings.static_camera
     context = _method_context(settings, calibration, boxes, region, mounting)
+    plane = context.road_plane
     runtime = context.runtime or Runtime()
     tracker_options = open_tracker_options(settings.reid, runtime, settings.tracker_min_score)
     appearance_notes = () if tracker_options.reid is None else tracker_options.reid.notes
@@ -132,6 +147,7 @@ def open_pipeline(
         priors,
         mounting=mounting,
         background=background,
+        is_static=settings.static_camera,
     )
     of_scene = partial(
         _stages_of_scene, settings, camera, tracker or tracker_options, ego_of, mounting=mounting
@@ -160,12 +176,14 @@ def open_pipeline(
             centre_sigma_px=calibration.centre_sigma_px,
             mounting=_at_height(mounting, used_m),
             sizes=ClassSizes.of(context.size_model),
+            road=None if plane is None else RoadMotions(plane),
         ),
         alarming=alarming,
         setup_notes=(
             *appearance_notes,
             *((_OTHER_HEIGHT.format(mounted_m),) if mounted_m not in (None, used_m) else ()),
-            *(() if is_ahead else (_NOT_AHEAD,)),
+            *(() if is_ahead or settings.static_camera else (_NOT_AHEAD,)),
+            *((_BY_SIZES,) if settings.static_camera and plane is None else ()),
         ),
         background=background or InThreads(),
     )
@@ -222,11 +240,28 @@ def _method_context(
         region=region,
         lane_width_m=settings.lane_width_m,
         has_visible_boxes=settings.detections is None,
-        has_lane_lines=settings.lanes != "off" and looks_ahead(mounting),
+        has_lane_lines=settings.lanes != "off"
+        and looks_ahead(mounting)
+        and not settings.static_camera,
+        road_plane=road_plane_of(settings, calibration),
         has_dense_disparity=settings.sgbm,
         sgbm_options=settings.sgbm_options,
         runtime=Runtime(n_threads=settings.threads, device=settings.device),
     )
+
+
+def road_plane_of(settings: PipelineOptions, calibration: RecordingCalibration) -> RoadPlane | None:
+    """The plane of the road of a camera that stands still: of its file, else by the height and the
+    pitch of its mounting; None = unknown. GroundError: the file cannot be used.
+    """
+    mounting, camera = settings.mounting, calibration.camera
+    if not settings.static_camera:
+        return None
+    if settings.ground is not None:
+        return checked_plane(settings.ground, camera)
+    if mounting is None or mounting.z_m is None or mounting.pitch_deg <= 0:
+        return None
+    return RoadPlane.of_mounting(camera, mounting, max(calibration.focal_sigma, _FOCAL_SIGMA))
 
 
 def _mounted_m(mounting: Mounting | None, calibration: RecordingCalibration) -> float | None:
@@ -247,10 +282,13 @@ def _ego_stage(
     *,
     mounting: Mounting | None,
     background: Background | None,
+    is_static: bool,
 ) -> EgoStage:
     """The sources of the ego motion: a scale has a pair, or a camera by its height above the road,
     which is given, or usual until the drive shows it.
     """
+    if is_static:
+        return StandingCamera()
     # also follows the right camera, and checks a given speed
     pair_odometry = (
         None
@@ -343,7 +381,13 @@ def warm_up(options: PipelineOptions, *, is_pair: bool) -> None:
     calibration = calibration_of(cameras, (_WARM_UP_PX,) * (1 + is_pair), LensView())
     # networks of appearance and lanes are not opened twice
     usual = options.model_copy(
-        update={"sgbm": False, "reid": None, "lanes": "classical", "tracker": "deepsort"}
+        update={
+            "sgbm": False,
+            "reid": None,
+            "lanes": "classical",
+            "tracker": "deepsort",
+            "ground": None,
+        }
     )
     stages = open_pipeline(usual, calibration, boxes_of(_OneCar()))
     noise = np.random.default_rng(0).integers(0, 256, (*_WARM_UP_PX[::-1], 3), np.uint8)

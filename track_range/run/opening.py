@@ -94,7 +94,7 @@ def open_run(
         report(LOADING)
         box_source = _box_source(settings, recording, detector, open_detector, console, boxes)
         again = partial(open_input, settings, rig=rig)
-        recording = with_mounting(recording, settings.mounting, again)
+        recording = _with_mounting(recording, settings, again)
         mounting = recording.opened.view_mounting(settings.mounting)
         speed = open_speed(settings.ego_speed, recording, mounting)
         if detector is None:  # an object may depend on the order of the frames
@@ -155,7 +155,18 @@ def _box_source(
         source = open_box_source(settings, recording, models, open_detector)
     else:
         source = boxes_of(detector)
+    if settings.static_camera:  # nothing moves but the road users
+        source = replace(source, fixed_parts=None)
     return outside_regions(boxes(source), settings.ignore, recording.calibration)
+
+
+def _with_mounting(
+    recording: Recording, settings: RunSettings, reopen: Callable[[], Recording]
+) -> Recording:
+    """The recording with the mounting that the motion of a drive shows, if it is one."""
+    if settings.static_camera:
+        return recording
+    return with_mounting(recording, settings.mounting, reopen)
 
 
 def _with_estimate(

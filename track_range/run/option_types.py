@@ -49,6 +49,10 @@ class PipelineKeywords(TypedDict, total=False):
     lens_fov_deg: str | None
     camera_model: str | None
     mount: str | Sequence[str] | Mounting | None
+    static_camera: bool | None
+    ground: str | Path | None
+    count_line: str | Sequence[str] | None
+    zone: str | Sequence[str] | None
 
 
 class RunKeywords(PipelineKeywords, total=False):

@@ -21,6 +21,7 @@ from track_range.foundation.files import output_files
 from track_range.foundation.files.folder_lock import FolderLock
 from track_range.pipeline.frame_result import FrameResult
 from track_range.recording.telemetry.tracks.track import TELEMETRY_FILE, write_positions
+from track_range.results.counts.files import CROSSINGS_FILE, CROSSINGS_PARQUET, write_crossings
 from track_range.results.events.event import CLIPS_FOLDER, Event, with_clip_files
 from track_range.results.events.files import EventFiles
 from track_range.results.formats.poses_file import read_poses
@@ -155,7 +156,8 @@ class RunOutput:
         info = session.origin.info(
             folder / self.videos["overlay"] if "overlay" in drawn else None, session.notes
         )
-        self._events = self._open.enter_context(EventFiles(folder, info.provenance.metadata()))
+        self._metadata = info.provenance.metadata()
+        self._events = self._open.enter_context(EventFiles(folder, self._metadata))
         self._writers = self._open.enter_context(OpenWriters(settings.write, info, folder))
         self._open.enter_context(self._videos_open)
         self._videos = [
@@ -179,6 +181,7 @@ class RunOutput:
             *self.videos.values(),
             "report.html",
             *rows,
+            *((CROSSINGS_FILE, CROSSINGS_PARQUET) if session.rows.counter.places else ()),
             *positions,
             *rigs,
             "summary.json",
@@ -274,6 +277,11 @@ class RunOutput:
                 poses=poses,
             ),
             partial(self._writers.close, summary),
+            *(
+                [partial(write_crossings, folder, rows.counter.crossings, self._metadata)]
+                if rows.counter.places
+                else []
+            ),
         ]
         if settings.keep_gps and track is not None:
             times = {"first_s": rows.starts_s, "last_s": rows.last_s}

@@ -4,9 +4,16 @@ disparities.
 
 from __future__ import annotations
 
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
 from track_range.recording.recording import Recording
+from track_range.results.counts.counter import anchors_of
+from track_range.results.counts.places import parsed_places
+from track_range.run.build import road_plane_of
 from track_range.run.options.settings import RunSettings
 from track_range.views.overlay.annotator import DisparityPicture, Overlay, StackedPicture, Status
+from track_range.views.overlay.counted_places import CountedPlaces
 from track_range.views.videos.result_video import Draw
 
 
@@ -34,7 +41,27 @@ def overlay_picture(settings: RunSettings, recording: Recording, status: Status)
     """
     warning = "uncalibrated" if recording.calibration.kind == "estimated" else ""
     recorded = recording.calibration.recorded_view if settings.overlay_recorded else None
-    overlay = Overlay(camera=recording.camera, status=status, warning=warning, recorded=recorded)
+    overlay = Overlay(
+        camera=recording.camera,
+        status=status,
+        warning=warning,
+        recorded=recorded,
+        counted=_counted_places(settings, recording) if settings.static_camera else None,
+    )
     if settings.overlay_disparity and recording.calibrated_rig is not None:
         return StackedPicture(overlay, recording.calibrated_rig).draw
     return overlay.draw
+
+
+def _counted_places(settings: RunSettings, recording: Recording) -> CountedPlaces:
+    """The lines and zones of a camera that stands still."""
+    calibration, is_recorded = recording.calibration, settings.overlay_recorded
+    rectifier = calibration.rectifier
+    anchors = anchors_of(road_plane_of(settings, calibration), rectifier.recorded_points)
+
+    def shown(xy_px: FloatArray) -> FloatArray:
+        if is_recorded and calibration.recorded_view is not None:
+            return xy_px
+        return rectifier.left_boxes(np.concatenate([xy_px, xy_px], axis=1))[:, :2]
+
+    return CountedPlaces(parsed_places(settings.count_line, settings.zone), anchors, shown)

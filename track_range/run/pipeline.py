@@ -36,6 +36,7 @@ from track_range.pipeline.health import Health, health_of
 from track_range.pipeline.state import PipelineState, StateError, check_version, dumped, loaded
 from track_range.pipeline.throughput import latency_ms
 from track_range.ranging.size_models.curve import load_curves
+from track_range.ranging.world.ground_file import read_ground
 from track_range.recording.cameras.auto_alignment import PairAlignment, given_alignment
 from track_range.recording.cameras.calibration import (
     LensView,
@@ -332,6 +333,8 @@ class Pipeline:
         values, objects = options_and_objects(PipelineOptions, {**options})
         chosen, view = pipeline_options(values), LensView(fov_deg, yaw_deg)
         models = Path(cameras) if isinstance(cameras, str) else cameras
+        if models is None and chosen.ground is not None:
+            models = read_ground(chosen.ground).plain_focal_px
         given = _Cameras(models, view, names=names_of(camera), pixel_format=pixel_format)
         return cls(given, chosen, **objects, keep_s=keep_s, deterministic=deterministic)
 
@@ -484,7 +487,9 @@ class Pipeline:
         return {**own, **networks, "restarted": stages.restarted}
 
     def _new_drive(self) -> _Drive:
-        return _Drive(RecentRows(self._keep_s, EventFinder(self.options.event_settings)))
+        is_off = self.options.static_camera
+        finder = EventFinder(self.options.event_settings, is_off=is_off)
+        return _Drive(RecentRows(self._keep_s, finder))
 
     def _check_open(self) -> None:
         if self._is_closed:

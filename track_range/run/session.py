@@ -7,6 +7,8 @@ from typing import Any
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.health import health_of
 from track_range.pipeline.throughput import FrameMeter
+from track_range.results.counts.counter import LineCounter, anchors_of
+from track_range.results.counts.places import parsed_places
 from track_range.results.events.finder import EventFinder
 from track_range.results.rows.rows import Rows
 from track_range.results.table import RunRows
@@ -16,6 +18,7 @@ from track_range.run.processing import paced_frames, processed_results
 from track_range.run.reports import (
     course,
     findings,
+    fixed_camera,
     labels,
     options,
     recording,
@@ -35,7 +38,17 @@ class RunSession:
     def __init__(self, opened: OpenedRun) -> None:
         settings, reader, stages = opened.settings, opened.recording, opened.pipeline
         self.opened, self.settings, self.recording = opened, settings, reader
-        self.rows = RunRows(fps=reader.fps, finder=EventFinder(settings.event_settings))
+        road, is_static = stages.world.road, settings.static_camera
+        plane = None if road is None else road.plane
+        recorded = reader.calibration.rectifier.recorded_points
+        self.rows = RunRows(
+            fps=reader.fps,
+            finder=EventFinder(settings.event_settings, is_off=is_static),
+            counter=LineCounter(
+                parsed_places(settings.count_line, settings.zone), anchors_of(plane, recorded)
+            ),
+        )
+        self._fixed = fixed_camera.FixedCamera(self.rows, plane, is_static)
         self._paced = paced_frames(settings, reader)
         self.meter = FrameMeter(reader.live or self._paced, every=settings.every)
         self.origin = Origin(opened, input_hashes(opened))
@@ -84,6 +97,7 @@ class RunSession:
             self._options,
             self.course,
             *of_rows,
+            *([self._fixed] if of_rows else []),
         ]
         if len(self.rows):  # the methods report what they measured
             parts += [stages.ranging, stages.doubting]
@@ -97,6 +111,7 @@ class RunSession:
         rows, stages, truth = self.rows, self.opened.pipeline, self.opened.truth
         rows.finish()
         recorded = rows.table.to_rows()
+        self._fixed.recorded = recorded
         figures = row_figures.RowFigures.of(rows, recorded, truth)
         is_whole = self.course.stopped_by is None and self.settings.duration_s is None
         seen = report.notes_of([self.visibility])  # the first that is to be known
@@ -104,7 +119,11 @@ class RunSession:
             labels.FrameNumbers(rows, recorded, self.opened.box_source.frames, truth, is_whole),
             self.findings,
             figures,
-            still_boxes.StillBoxes(recorded, self.recording.calibration),
+            *(
+                ()
+                if self.settings.static_camera
+                else (still_boxes.StillBoxes(recorded, self.recording.calibration),)
+            ),
         )
         self._notes = [*seen, *others]
         facts = {
@@ -120,6 +139,7 @@ class RunSession:
             self.meter,
             figures,
             self._cameras,
+            self._fixed,
             stages.doubting,
             self._pair,
             stages,

@@ -6,6 +6,7 @@ rig.yaml                the cameras
 truth.txt, truth.csv, contacts.csv, ego_speed.csv   ground truth and speed (`tables.py`)
 detections.txt          simulated detections in KITTI's format (`camera/playback.py`)
 image_2/, image_3/, disp_occ_0/, obj_map/           optional: pairs, disparities and objects in KITTI 2015's layout
+ground_points.txt, lines.txt, speeds.csv, crossings_truth.csv   of the scenario `fixed` (`camera/fixed_files.py`)
 masks/, mask_ids/                                   optional: visible heads and number plates (`write_masks`)
 
 With wide lenses, boxes of the ground truth are in pixels of the undistorted images of a run without
@@ -33,6 +34,7 @@ from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.files.output_files import make_folder, write_text
 from track_range.simulation.camera import drive_files
 from track_range.simulation.camera.faults import kept_frames, rig_in_file
+from track_range.simulation.camera.fixed_files import write_fixed_files
 from track_range.simulation.camera.playback import play_back
 from track_range.simulation.camera.wide_lens import WideLens
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
@@ -163,6 +165,8 @@ def write_drive(
     write_text(drive.ego_speed, ego_speed_text(scene, truth.times_s))
     write_text(drive.contacts, contacts_text(find_contacts(scene, seconds)))
     write_text(drive.detections, kitti_text(detections))
+    if scenario == "fixed":
+        write_fixed_files(folder, scene, pinholes.left, truth.times_s)
     return drive
 
 

@@ -19,6 +19,7 @@ SCENARIO_NAMES = (
     *("rear-stationary", "rear-slower", "rear-braking", "crossing-adult", "crossing-child"),
     *("crossing-car", "yielding"),
     *("curve-parked", "oncoming", "overhead-sign", "following", "occlusion", "winding"),
+    "fixed",
 )
 
 _DRIVE, _OUTPUT = "Drive", "Output"

@@ -385,6 +385,7 @@ def test_tracks_measured_against_themselves(tmp_path):
             "CollisionWarning",
             "WarningSettings",
             "Warnings",
+            "RoadPlane",
         ),
     ],
 )

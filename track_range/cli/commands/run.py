@@ -187,8 +187,19 @@ def print_outcome(run: Run, console: Console) -> None:
     """Print what happened: the extremes of each class, the events, and the accuracy."""
     from track_range.cli.shared.console import print_grid, print_line
     from track_range.foundation.files.input_files import printable
+    from track_range.views.report.content.counts import (
+        is_fixed,
+        line_grid,
+        speed_grid,
+        zone_grid,
+    )
     from track_range.views.report.outcome import accuracy_lines, class_grid, event_lines
 
+    if is_fixed(run.summary):
+        grids = (line_grid(run.summary), zone_grid(run.summary), speed_grid(run.summary))
+        print_grid(console, *(grid for grid in grids if grid.rows))
+        print_line(console, *(accuracy_lines(run.summary) if run.summary["truth"] else ()))
+        return
     users = run.summary["closest_approaches"]
     print_grid(console, *([class_grid(users)] if users else []))
     accuracy = accuracy_lines(run.summary) if run.summary["truth"] else ()

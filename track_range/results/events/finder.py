@@ -236,8 +236,9 @@ class _Open:
 class EventFinder:
     """Finds the events of a drive from its frames in order, live or from the rows of a run."""
 
-    def __init__(self, settings: EventSettings | None = None) -> None:
-        self.settings = settings or EventSettings()
+    def __init__(self, settings: EventSettings | None = None, *, is_off: bool = False) -> None:
+        """`is_off`: there are no events, since the camera drives nowhere."""
+        self.settings, self._is_off = settings or EventSettings(), is_off
         self._conditions = Conditions(self.settings)
         self._open: list[_Open] = []
         self._ended: list[tuple[Event, list[list[Place]]]] = []  # with the paths of its tracks
@@ -250,6 +251,8 @@ class EventFinder:
         """Events that ended before this frame and have not been returned yet, in the order of their
         ends.
         """
+        if self._is_off:
+            return ()
         ended = self._close(result.time_s)
         now = Situation.of(result)
         self._follow_paths(result)

@@ -13,6 +13,7 @@ from track_range.foundation.files.input_files import quoted
 from track_range.foundation.schemas.options import contradiction
 from track_range.recording.sources.names import source_of
 from track_range.run.options.detection import DetectionOptions, TrackingOptions
+from track_range.run.options.fixed import FixedCameraOptions
 from track_range.run.options.input import InputOptions
 from track_range.run.options.output import OutputOptions
 from track_range.run.options.ranging import RangingOptions
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 
 # pydantic lists the fields of the last base first
-class PipelineOptions(RangingOptions, TrackingOptions, DetectionOptions):
+class PipelineOptions(FixedCameraOptions, RangingOptions, TrackingOptions, DetectionOptions):
     """Options of the processing of a frame, whether the frame comes from a file or from memory."""
 
 

@@ -27,6 +27,7 @@ from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.sgbm import disparity_picture, inner_halves
 from track_range.views.overlay import labels
 from track_range.views.overlay.birds_eye import BirdsEye
+from track_range.views.overlay.counted_places import CountedPlaces
 
 # returns short texts on the state of the run, such as the frame rate
 Status = Callable[[], Sequence[str]]
@@ -50,7 +51,8 @@ class Overlay:
     The bird's-eye view needs the camera of the images. The texts of `status` follow frame number
     and time in the upper left corner, `warning` follows them in amber. `recorded` is the
     undistorter of the images of a wide lens: boxes are drawn, as curves, on the images before this
-    step; None = on the left images.
+    step; None = on the left images. `counted` are the places of a camera that stands still, whose
+    labels begin with the speed; None = of a camera that moves.
     """
 
     def __init__(
@@ -61,7 +63,9 @@ class Overlay:
         status: Status = tuple,
         warning: str = "",
         recorded: Rectifier | Undistorter | None = None,
+        counted: CountedPlaces | None = None,
     ) -> None:
+        self._counted = counted
         self.class_names = tuple(class_names)
         self._recorded = recorded
         self._status, self._warning = status, warning
@@ -110,6 +114,8 @@ class Overlay:
         ):
             matched = [row for row in nearest_first[::-1] if observed[row]]
             draw_inner_windows(canvas, boxes[matched], [colours[row] for row in matched])
+        if self._counted is not None:
+            self._counted.draw(canvas, result)
         self._inset.draw(canvas, result, boxes)
         self._draw_labels(canvas, result, boxes, nearest_first[:MOST_LABELS], colours)
         return canvas
@@ -130,6 +136,8 @@ class Overlay:
             lines = labels.label_lines(
                 result, row, class_names=self.class_names, sizes_px=(sizes_px[0], sizes_px[1])
             )
+            if self._counted is not None:
+                lines = labels.with_speed(result, row, lines)
             full.append(lines)
             short.append(lines[:1])
             urgent.append(lines[-1][0].weight == labels.BOLD and lines[-1][0].fill is not None)

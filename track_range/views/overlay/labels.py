@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 
 import cv2
@@ -32,6 +32,7 @@ from track_range.pipeline.colours import (
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.registry import methods
 from track_range.ranging.warning.safety import apart_m
+from track_range.results.counts.counter import KMH
 
 # smallest closing speed that is shown; slower ones are within the noise of the distance filter
 CLOSING_SHOWN_MPS = 0.5
@@ -148,6 +149,21 @@ def label_lines(
         ttc_s = float(result.ttc_s[row]) if passes else ttc_s
     closing = closing_span(closing_mps, ttc_s, small_px, alarm=alarm, passes=passes)
     return [*lines, [closing]] if closing else lines
+
+
+def with_speed(result: FrameResult, row: int, lines: Lines) -> Lines:
+    """The label of a track of a camera that stands still: its speed over ground, if it is known,
+    in the place of the distance, which begins the second line; without a time to collision.
+    """
+    speed_mps, sigma_mps = result.motion.speed_mps[row], result.motion.speed_sigma_mps[row]
+    metres, *others = lines[0]
+    if not math.isfinite(speed_mps):
+        return lines[:1]
+    *sigma, named = others
+    speed = replace(metres, text=f"{KMH * speed_mps:.0f}")
+    unit = replace(named, text=f"±{KMH * sigma_mps:.0f} km/h", weight=REGULAR, bgr=WHITE)
+    far = replace(named, text=" ".join(span.text for span in (metres, *sigma)), bgr=GREY)
+    return [[speed, unit, named], [replace(far, weight=REGULAR)]]
 
 
 def closing_span(

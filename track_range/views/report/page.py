@@ -37,6 +37,14 @@ from track_range.results.rows.rows import Rows
 from track_range.views import tables
 from track_range.views.report import comparison, sentences
 from track_range.views.report.content.camera import camera_picture
+from track_range.views.report.content.counts import (
+    fixed_headlines,
+    is_fixed,
+    line_grid,
+    speed_grid,
+    speed_histogram,
+    zone_grid,
+)
 from track_range.views.report.content.drive_map import drive_map
 from track_range.views.report.content.errors import calibration_curves, error_curves
 from track_range.views.report.content.events import (
@@ -125,8 +133,10 @@ def report_page(
     content = {**run_content(summary, rows, shown or ()), "map": drive_map(rows, poses)}
     accuracy, mot = accuracy_grids(summary), mot_grid(tracks)
     speed, geometry = speed_grids(summary), sentences.geometry_sentences(summary)
+    is_static = is_fixed(summary)
     sections = {
         "overview": "Overview",
+        "counts": "Counts and speeds" if is_static else "",
         "map": "Map" if content["map"] else "",
         "tracks": "Distance over time",
         "accuracy": "Accuracy" if content["errors"] else "Coverage",
@@ -143,9 +153,13 @@ def report_page(
         title=sentences.run_name(summary),
         subtitle=sentences.run_line(summary, len(users), span_s),
         sections={anchor: name for anchor, name in sections.items() if name},
-        headlines=sentences.headlines(rows, users, events, summary.get("visibility")),
+        headlines=fixed_headlines(summary)
+        if is_static
+        else sentences.headlines(rows, users, events, summary.get("visibility")),
+        counts=[grid for grid in _count_grids(summary) if grid.rows] if is_static else [],
+        histogram=speed_histogram(summary) if is_static else None,
         events=None
-        if shown is None
+        if shown is None or is_static
         else event_records(shown, clips_of(events or (), shown, clips or {})),
         events_note=hidden_events_note(events or (), shown or ()),
         has_road=any("x" in track for track in content["tracks"]),
@@ -166,6 +180,10 @@ def report_page(
         settings=list(sentences.settings_groups(summary)),
         content=embedded(content),
     )
+
+
+def _count_grids(summary: Mapping[str, Any]) -> tuple[tables.Grid, ...]:
+    return line_grid(summary), zone_grid(summary), speed_grid(summary)
 
 
 def comparison_page(

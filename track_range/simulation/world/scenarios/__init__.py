@@ -5,6 +5,7 @@ and occlusion.
 from collections.abc import Callable
 
 from track_range.simulation.world.scenarios import conflicts, traffic
+from track_range.simulation.world.scenarios.fixed import fixed
 from track_range.simulation.world.scenarios.occlusion import occlusion
 from track_range.simulation.world.scene import Scene, make_scene
 
@@ -31,6 +32,7 @@ SCENARIOS: dict[str, Callable[[int, float], Scene]] = {
     "following": conflicts.following,
     "occlusion": occlusion,
     "winding": traffic.winding,
+    "fixed": fixed,
 }
 
 

@@ -29,7 +29,7 @@ _N_COEFFICIENTS = (0, 4, 5, 8)
 def _calibrate(settings: CalibrationSettings) -> None:
     _check(settings)
     if settings.is_from_road:
-        from track_range.cli.commands.calibrate_drive import calibrate_from_drives_and_print
+        from track_range.cli.commands.calibrate.drive import calibrate_from_drives_and_print
 
         calibrate_from_drives_and_print(settings.of_drive)
         return
@@ -153,7 +153,7 @@ app = command_group(
     _calibrate,
     {
         "drive": Lazy(
-            "track_range.cli.commands.calibrate_drive",
+            "track_range.cli.commands.calibrate.drive",
             "Calibrate one camera from its recordings of drives, without a board.",
             "The focal length and the lens distortion follow from the motion of the static scene in "
             "turns, the shapes of road users, the metadata of the files, and what you measured; "
@@ -165,6 +165,21 @@ app = command_group(
                 "track-range calibrate drive friday.mp4 --rig rig.yaml --out rig.yaml",
                 "track-range calibrate drive drive.mp4 \\\n"
                 "      --known-distance '3.2,610,340,702,415=12.4' --out rig.yaml",
+            ),
+        ),
+        "ground": Lazy(
+            "track_range.cli.commands.calibrate.ground",
+            "Fit the plane of the road of a camera that stands still, for speeds in km/h.",
+            "Metres on the road give the scale: four points of a rectangle, or lengths such as those "
+            "of lane markings, in several directions. Pixels are those of the video, as a viewer "
+            "of images shows them. What the measurements leave open is said; a run uses the file "
+            "with --static-camera --ground.",
+            (
+                "track-range calibrate ground street.mp4 --known-point 410,620=0,0 \\\n"
+                "      --known-point 905,622=0,-7 --known-point 788,291=40,-7 \\\n"
+                "      --known-point 566,290=40,0 --out ground.yaml --picture ground.png",
+                "track-range calibrate ground street.mp4 --focal-px 1150 \\\n"
+                "      --known-length 410,620,905,622=7 --known-length 410,620,566,290=40",
             ),
         ),
     },
