@@ -67,16 +67,18 @@ def test_counts_times_and_speeds_are_those_of_the_scene(street, counted):
         rows = [row for row in csv.DictReader(file) if row["kind"] == "line"]
     # of tracks that are confirmed before, and leave the line before the end
     true = [one for one in crossings(scene, SECONDS) if 1.0 < one[3] < SECONDS - 0.5]
-    errors_kmh = []
-    for name, _, _, time_s, speed_mps, direction in true:
-        own = [row for row in rows if (row["place"], row["direction"]) == (name, direction)]
-        near = min(own, key=lambda row: abs(float(row["time_s"]) - time_s))
-        assert float(near["time_s"]) == pytest.approx(time_s, abs=0.35)
-        if near["speed_kmh"]:
-            errors_kmh.append(abs(float(near["speed_kmh"]) - 3.6 * speed_mps))
+    errors_kmh, free = [], list(rows)
+    for name, _, kind, time_s, speed_mps, direction in true:
+        for row in free:
+            is_same = (row["place"], row["direction"], row["class"]) == (name, direction, kind)
+            if is_same and abs(float(row["time_s"]) - time_s) < 0.4:
+                free.remove(row)
+                errors_kmh.append(abs(float(row["speed_kmh"] or "nan") - 3.6 * speed_mps))
+                break
     assert len(true) >= 6
-    assert np.median(errors_kmh) < 4.0
-    assert len(rows) <= len(true) + 2
+    assert len(errors_kmh) >= len(true) - 1  # a car may be hidden behind a truck
+    assert np.nanmedian(errors_kmh) < 3.0
+    assert len(free) <= 2
 
 
 @pytest.mark.slow
@@ -102,6 +104,7 @@ def test_results_speak_of_speeds_and_counts_and_of_no_collision(counted):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("counted")  # which fits the plane
 def test_pipeline_and_counter_in_a_loop(street):
     folder, scene = street
     plane = tr.load_ground(folder / "ground.yaml")

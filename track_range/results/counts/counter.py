@@ -23,6 +23,7 @@ KMH = 3.6  # km/h per m/s
 # half width of the band, px and as a fraction of the height of the box
 _BAND_PX, _BAND_FRACTION = 2.0, 0.05
 _OUTSIDE = 0.05  # of the image beyond its border, up to which a point counts
+_JUMP_M, _JUMP_MPS = 1.5, 40.0  # way between two frames that no road user makes
 _FORGET_S = 5.0  # time after which a track without a box is forgotten
 
 # (N, 2) points that count of the tracks of a frame, in px of the video
@@ -188,7 +189,7 @@ def anchors_of(plane: RoadPlane | None, recorded: Callable[[FloatArray], FloatAr
             (width, height), margin = plane.size_px, _OUTSIDE * max(plane.size_px)
             is_gone = (middles < -margin) | (middles > [width + margin, height + margin])
             middles[is_gone.any(axis=1)] = np.nan
-            feet = np.where(np.isfinite(motion.world_x_m)[:, None], middles, feet)
+            feet = middles  # NaN until the place of a new track is known
         return recorded(feet)
 
     return anchors
@@ -203,6 +204,11 @@ def lower_middles(result: FrameResult) -> FloatArray:
 def _move(track: _Track, place: Place, now: Crossing, inside_px: float) -> None:
     """Move a track to its place in a frame."""
     at_px = np.array([now.x_px, now.y_px])
+    if track.last is not None:
+        moved_m = math.hypot(now.x_m - track.last.x_m, now.y_m - track.last.y_m)
+        if moved_m > _JUMP_M + _JUMP_MPS * (now.time_s - track.time_s):
+            # another object by a change of identities, which has crossed nothing
+            track.side, track.inside_px, track.has_met = 0, math.nan, False
     if track.inside_px * inside_px < 0 or (inside_px == 0 and track.inside_px != 0):
         share = track.inside_px / (track.inside_px - inside_px)
         track.met_s = track.time_s + share * (now.time_s - track.time_s)
