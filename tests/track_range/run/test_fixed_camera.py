@@ -16,7 +16,7 @@ from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.truth import label_scene
 
 CAMERA = tr.PinholeCamera.of_focal_length(410.0, (640, 360))
-FPS, SECONDS, SEED = 10, 7.0, 3
+FPS, SECONDS, SEED = 10, 7.0, 5
 
 
 @pytest.fixture(scope="module")
