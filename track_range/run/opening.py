@@ -105,11 +105,8 @@ def open_run(
             )
         if box_source.fixed_parts is not None:
             box_source = replace(box_source, fixed_parts=shown_fixed_parts(recording, again))
-        calibration, path = recording.calibration, settings.truth
-        shift_m, choices = calibration.left_from_reference_m, settings.truth_choices
-        truth = None if path is None else read_truth(path, calibration.camera, shift_m, choices)
-        if truth is not None and truth.targets is not None:
-            truth.targets.check_clock(has_utc=recording.utc is not None)
+        calibration = recording.calibration
+        truth = _truth(settings, recording)
         region = settings.region or _region_of(speed.track)
         # frames at the pace of a camera do not wait, and are not the same in another run
         is_live = recording.live is not None or settings.realtime
@@ -139,6 +136,18 @@ def open_run(
         pipeline=pipeline,
         opening_s=opening_s,
     )
+
+
+def _truth(settings: RunSettings, recording: Recording) -> Truth | None:
+    """The ground truth of the settings, whose clock is known; None = not given."""
+    if settings.truth is None:
+        return None
+    calibration = recording.calibration
+    shift_m, choices = calibration.left_from_reference_m, settings.truth_choices
+    truth = read_truth(settings.truth, calibration.camera, shift_m, choices)
+    if truth.targets is not None:
+        truth.targets.check_clock(has_utc=recording.utc is not None)
+    return truth
 
 
 def _box_source(
