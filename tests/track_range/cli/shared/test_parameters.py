@@ -201,7 +201,7 @@ def test_settings_of_clips_and_fleets():
         RunSettings.fields_where(lambda field: option_of(field).is_shared)
     )
     assert [name for name in sorted(CLIP_SETTINGS) if is_file_setting(name, "a")] == [
-        *("align", "curves", "detections", "ego_speed", "rig", "truth", "truth_calib"),
+        *("align", "curves", "detections", "ego_speed", "ground", "rig", "truth", "truth_calib"),
         "truth_poses",
     ]
     assert not any(
