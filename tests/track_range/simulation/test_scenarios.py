@@ -56,7 +56,8 @@ def footprint(location, size, yaw):
     )
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+# vehicles before a fixed camera keep apart where they are seen (test_fixed_scenario)
+@pytest.mark.parametrize("name", [name for name in SCENARIOS if name != "fixed"])
 @pytest.mark.parametrize("seed", range(3))
 def test_no_collisions(name, seed):
     scene = make_scenario(name, seed=seed, seconds=10.0)
