@@ -125,7 +125,8 @@ COMMANDS = {
         "breaks its limit.",
         (
             "track-range check drive-track-range \\\n"
-            "      --require 'fused.median_relative_error_pct < 5' --require 'tracks.mota >= 80'",
+            "      --require 'fused.median_relative_error_pct < 5' \\\n"
+            "      --require 'tracks.mota >= 80'",
             "track-range check drive-track-range --limits limits.yaml --junit check.xml",
         ),
     ),

@@ -115,7 +115,7 @@ def test_bare_options_mean_run(cli):
     [
         (["ev"], ["evaluate"]),
         (["--overlay-d"], ["--overlay-disparity"]),
-        (["--stereo", "a", "b", "--tru"], ["--truth"]),
+        (["--stereo", "a", "b", "--truth-c"], ["--truth-calib"]),
         (
             ["run", "--device", ""],
             ["auto", "cpu", "cuda", "tensorrt", "openvino", "coreml", "directml"],
