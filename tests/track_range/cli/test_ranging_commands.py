@@ -57,7 +57,8 @@ def test_output_as_table_json_and_markdown(cli, folders, tmp_path):
     assert mono["bands"][0]["to_m"] == 10.0
     assert "closing_median_error_mps" not in mono
     assert list(mono["by_drive"]) == ["a", "b", "c"]
-    keys = {"n", "n_tracks", "bias_pct", "within_1_sigma", "within_2_sigma"}
+    errors = ("bias_pct", "within_1_sigma", "within_2_sigma")
+    keys = {"n", "n_tracks", *errors, *(f"{name}_ci95" for name in errors)}
     assert set(mono["by_drive"]["a"]) == keys
     assert sum(drive["n"] for drive in mono["by_drive"].values()) == mono["n"]
     assert mono["worst_drive"] in mono["by_drive"]
