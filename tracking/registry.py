@@ -202,7 +202,9 @@ class ThresholdedTracker:
         return self.tracker.update(confident, time_s, image)
 
     def __getattr__(self, name: str) -> Any:
-        """The other attributes of the tracker."""
+        """The other attributes of the tracker; none before a copy or a stored state has one."""
+        if name == "tracker":
+            raise AttributeError(name)
         return getattr(self.tracker, name)
 
 

@@ -193,14 +193,15 @@ RIG_NAMES = ("rig.yaml", "calib.txt")
 
 def rig_names(video: str) -> tuple[str, ...]:
     """Names of the calibration beside a video, in the order in which they are looked for: of this
-    video, `NAME.rig.yaml`, and of all videos of the folder, `rig.yaml` and `calib.txt`.
+    video, `NAME.rig.yaml` and `NAME.calib.txt`, and of all videos of the folder, `rig.yaml` and
+    `calib.txt`.
     """
-    return (f"{Path(video).stem}.{RIG_NAMES[0]}", *RIG_NAMES)
+    return (*(f"{Path(video).stem}.{name}" for name in RIG_NAMES), *RIG_NAMES)
 
 
 def find_rig(left_video: Path) -> Path | None:
-    """`NAME.rig.yaml`, else `rig.yaml`, else `calib.txt`, in the folder of the left video, or in a
-    folder of images or its parent.
+    """The first of `rig_names` in the folder of the left video, or in a folder of images or its
+    parent.
     """
     folders = (left_video, left_video.parent) if left_video.is_dir() else (left_video.parent,)
     candidates = (folder / name for folder in folders for name in rig_names(left_video.name))

@@ -1,6 +1,8 @@
 """Trackers by name, by `module:Class` and by entry point; `tests/toys/toy_tracker.py` is another
 package's tracker."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -168,6 +170,12 @@ def test_a_tracker_gets_the_scores_that_it_expects(min_score, seen):
     assert tracker_class(tracker) is ScoresSeen
     with pytest.raises(TrackerError, match="ScoresSeen"):
         checked_tracks(tracker, None)
+
+
+def test_a_tracker_with_a_min_score_is_stored_with_the_state_of_a_pipeline():
+    tracker = create_tracker("sort", TrackerOptions(min_score=0.5))
+    again = pickle.loads(pickle.dumps(tracker))  # noqa: S301 - bytes of this test
+    assert (tracker_class(again), again.min_score) == (tracker_class(tracker), 0.5)
 
 
 @pytest.mark.usefixtures("_restored")

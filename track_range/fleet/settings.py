@@ -58,7 +58,7 @@ class FleetSettings(Options):
         str | None,
         _input(
             "Calibration of all clips, or a pattern with {clip} and other names of --pattern "
-            "(default: rig.yaml or calib.txt beside the left video).",
+            "(default: NAME.rig.yaml, rig.yaml or calib.txt beside the left video).",
             metavar="FILE|PATTERN",
         ),
     ] = None

@@ -119,6 +119,20 @@ def test_run_is_not_replaced(run: Path, tmp_path: Path, cli: Cli) -> None:
     assert "a run is writing" in error
 
 
+def test_scenarios_of_an_earlier_export_stay_if_one_cannot_be_replaced(
+    run: Path, tmp_path: Path, cli: Cli
+) -> None:
+    out = tmp_path / "scenarios"
+    out.mkdir()
+    contents = {f"0{i}-cut_in-3.xosc": "<?xml" for i in range(1, 9)} | {"09-cut_in-3.xosc": "mine"}
+    for name, text in contents.items():
+        (out / name).write_text(text)
+    options = ("--to", "openscenario", "--per-event", "--out", out)
+    status, _, error = cli("export", run, *options)
+    assert (status, "09-cut_in-3.xosc" in error) == (1, True)
+    assert {file.name: file.read_text() for file in out.iterdir()} == contents
+
+
 @pytest.mark.parametrize("name", ["parquet", "mcap", "rrd", "kitti", "openscenario"])
 @pytest.mark.parametrize(
     ("column", "value"), [("class", "c" * 150), ("fused_m", "inf"), ("time_s", "9e9")]

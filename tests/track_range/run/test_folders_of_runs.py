@@ -70,9 +70,10 @@ def test_a_file_is_no_folder(folders, cli):
     assert "expected a folder for the results, found a file" in finished.stderr
 
 
-def test_a_calibration_for_several_videos_is_noted(small_drive, tmp_path):
+@pytest.mark.parametrize("name", ["rig.yaml", "calib.txt"])
+def test_a_calibration_for_several_videos_is_noted(small_drive, tmp_path, name):
     shutil.copy(small_drive.left, tmp_path / "left.mp4")
-    shutil.copy(small_drive.rig, tmp_path / "rig.yaml")
+    shutil.copy(small_drive.rig, tmp_path / name)
 
     def note() -> str:
         recording = tr.open_recording(tmp_path / "left.mp4")
@@ -84,9 +85,9 @@ def test_a_calibration_for_several_videos_is_noted(small_drive, tmp_path):
     assert "every video" not in note()
     shutil.copy(small_drive.left, tmp_path / "other.mp4")
     assert "every video of its folder, such as other.mp4" in note()
-    assert "rename it to left.rig.yaml" in note()
-    (tmp_path / "rig.yaml").rename(tmp_path / "left.rig.yaml")
-    assert "left.rig.yaml" in note()
+    assert f"rename it to left.{name}" in note()
+    (tmp_path / name).rename(tmp_path / f"left.{name}")
+    assert f"left.{name}" in note()
     assert "every video" not in note()
 
 

@@ -4,10 +4,11 @@ OUT/cameras/NAME.yaml    calibration of the camera
 OUT/cameras/NAME.json    its evidence, and the state of the files and settings that it is from
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from rich.console import Console
@@ -32,6 +33,7 @@ from track_range.run.ready_model import ready_model
 
 # clips of one camera that are read, evenly spread over them: the estimate of more is no better
 MOST_CLIPS = 12
+_LENS = ("camera_model", "lens_fov_deg")  # what is known of the lens, which the estimate contains
 
 
 def clips_by_camera(clips: Sequence[Clip], plan: FleetPlan) -> dict[str, list[Clip]]:
@@ -116,11 +118,27 @@ def with_cameras(clips: Sequence[Clip], plan: FleetPlan, console: Console) -> li
             soft_wrap=True,
         )
     return [
-        replace(clip, settings={**clip.settings, "rig": rigs[clip.name]})
+        replace(clip, settings=_without_lens(clip.settings) | {"rig": rigs[clip.name]})
         if clip.name in rigs
         else clip
         for clip in clips
     ]
+
+
+def _without_lens(settings: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in settings.items() if name not in _LENS}
+
+
+def _lens(clips: Sequence[Clip], plan: FleetPlan) -> dict[str, Any]:
+    """What is known of the lens of a camera; FleetInputError: its clips state different lenses."""
+    stated = [{**plan.options, **clip.settings} for clip in clips]
+    lenses = [{name: values.get(name) for name in _LENS} for values in stated]
+    if any(lens != lenses[0] for lens in lenses):
+        raise FleetInputError(
+            "--camera: expected one lens_fov_deg and camera_model of the clips of a camera, found "
+            f"others of {quoted(clips[0].name)} than of another clip."
+        )
+    return lenses[0]
 
 
 def _known_sentence(rig: Path, *inputs: Sequence[object]) -> str:
@@ -140,7 +158,12 @@ def _estimated(
     """Write the calibration of a camera; what it is from, in words."""
     rig.parent.mkdir(parents=True, exist_ok=True)
     recordings = tuple(str(Location.of(clip.left).path) for clip in clips)
-    settings = DriveSettings(recordings=recordings, out=rig, curves=plan.options.get("curves"))
+    settings = DriveSettings(
+        recordings=recordings,
+        out=rig,
+        curves=plan.options.get("curves"),
+        **_lens(clips, plan),
+    )
     detection = DetectionOptions.of(
         {key: plan.options.get(key) for key in DetectionOptions.model_fields}
         | {"threads": 0}  # no worker runs yet

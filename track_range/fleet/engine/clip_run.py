@@ -331,7 +331,9 @@ class _ClipRun:
             data_set.publish_files(out, place.child(CLIPS_FOLDER), clips)
             return
         for file in files:
-            if self._task.is_replaced or not place.child(file.name).exists():
+            # events name their videos
+            is_other = file.name == EVENTS_FILE and "clips" in self._missing
+            if self._task.is_replaced or is_other or not place.child(file.name).exists():
                 data_set.publish(out, place.child(file.name), file)
         if "clips" in self._missing:
             data_set.publish_files(out, place.child(CLIPS_FOLDER), clips)
@@ -396,9 +398,9 @@ def clip_settings(options: Mapping[str, Any], clip: Clip) -> RunSettings:
     n_topics = len([topic for topic in str(own.get("topics", "")).split(",") if topic])
     if clip.right is None and (n_topics > 1 or "stereo_layout" in {**options, **own}):
         video = {"stereo": (clip.left,)}
-    shared = {
-        key: value for key, value in options.items() if not (key == "focal_px" and "rig" in own)
-    }
+    # a calibration of the clip knows them
+    known = {"focal_px", "lens_fov_deg", "camera_model"} if "rig" in own else set()
+    shared = {key: value for key, value in options.items() if key not in known}
     return settings_from({**shared, **video, **own})
 
 

@@ -39,8 +39,10 @@ _NOT_TAKEN = RunSettings.fields_where(lambda field: option_of(field).instead) | 
     RunSettings.model_fields.keys() & FleetSettings.model_fields.keys()
 )
 _STAGES = {name: RunSettings.stage_of(name) for name in RunSettings.model_fields}
-# not taken from a settings.yaml
-_OUTPUTS = {name for name, stage in _STAGES.items() if stage == "outputs"}
+# options that select files of results; not taken from a settings.yaml
+OUTPUTS = {name for name, stage in _STAGES.items() if stage == "outputs"}
+# options of estimates of cameras besides those of detections
+_OF_CAMERAS = ("curves", "camera_model", "lens_fov_deg")
 # that are, or may be, files which all clips share
 _SHARED_FILES = RunSettings.fields_where(is_file) - _NOT_TAKEN
 
@@ -198,7 +200,7 @@ def common_options(file: Path) -> dict[str, Any]:
     ConfigError.
     """
     options = {
-        key: value for key, value in read_settings(file).items() if key not in _NOT_TAKEN | _OUTPUTS
+        key: value for key, value in read_settings(file).items() if key not in _NOT_TAKEN | OUTPUTS
     }
     try:
         _validated(options)
@@ -261,7 +263,7 @@ def _keys(values: Mapping[str, Any], outputs: tuple[str, ...], *, has_reports: b
 
     return StageKeys(
         detections=key("detections"),
-        cameras=key("detections", curves=values.get("curves")),
+        cameras=key("detections", **{name: values.get(name) for name in _OF_CAMERAS}),
         tracks=key("detections", "tracks"),
         events=key("events"),
         outputs=outputs,

@@ -15,6 +15,7 @@ from sys import intern
 from typing import Any, NamedTuple
 
 from track_range.fleet.engine.plan import (
+    OUTPUTS,
     ClipTask,
     FleetPlan,
     Stage,
@@ -151,12 +152,14 @@ def check_replaced(clips: Sequence[Clip], table: ClipTable, plan: FleetPlan) -> 
     state = read_state(plan.out)
     before = {} if state is None else state.options.get("run", {})
     now = named_options(plan)["run"]
+    replaces_nothing = {"threads"} if counts["outputs"] else {"threads", *OUTPUTS}
     names = sorted(
         RunSettings.flag(name)
-        for name in before.keys() | now.keys()
+        for name in (before.keys() | now.keys()) - replaces_nothing
         if before.get(name) != now.get(name)
     )
-    options = f" ({shortened(', '.join(names), 100)})" if names else ""
+    others = names or ["another version of track-range, or other content of their files"]
+    options = f" ({shortened(', '.join(others), 100)})"
     raise WouldReplaceError(
         f"{plan.out}: expected the options of the finished results, found others{options}, which "
         f"would replace {replaced}; repeat the command with --overwrite, or choose another --out."

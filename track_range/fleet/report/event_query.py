@@ -98,11 +98,18 @@ class _Query:
         field = pc.field(name)
         if kind in _OPERATORS:
             if isinstance(right, ast.Name):
-                return _OPERATORS[kind](field, pc.field(self._column(right.id)))
+                other = self._column(right.id)
+                if self._is_text[name] != self._is_text[other]:
+                    raise EventQueryError(
+                        f"{name}, {other}: expected two texts or two numbers to compare."
+                    )
+                return _OPERATORS[kind](field, pc.field(other))
             return _OPERATORS[kind](field, pc.scalar(self._value(name, right)))
         if kind in (ast.In, ast.NotIn) and isinstance(right, ast.Tuple | ast.List | ast.Set):
             is_in = field.isin([self._value(name, one) for one in right.elts])
-            return is_in if kind is ast.In else ~is_in
+            # isin takes an unknown value as one that is in no list
+            known = pc.if_else(field.is_valid(), is_in, pc.scalar(None))
+            return known if kind is ast.In else ~known
         if kind in (ast.Is, ast.IsNot) and ast.unparse(right) == "None":
             return field.is_null() if kind is ast.Is else field.is_valid()
         raise _unknown(self._text)
@@ -123,7 +130,8 @@ class _Query:
         written = node.operand if isinstance(node, ast.UnaryOp) and is_negative else node
         value = written.value if isinstance(written, ast.Constant) else None
         expected = str if self._is_text[column] else int | float
-        if not isinstance(value, expected) or isinstance(value, bool):
+        is_huge = isinstance(value, int) and abs(value) >= 2**63
+        if not isinstance(value, expected) or isinstance(value, bool) or is_huge:
             words = "a text in quotation marks" if self._is_text[column] else "a number"
             raise EventQueryError(
                 f"{column}: expected {words} to compare with, found {quoted(ast.unparse(node))}."

@@ -324,10 +324,11 @@ def _write_scenarios(drive: Trajectories, events: Sequence[Event], out: Path) ->
     return their number.
     """
     make_folder(out)
-    for file in out.glob("*.xosc"):
-        if is_clip_name(file.with_suffix(".mp4").name):
-            check_replaceable(file, "openscenario")
-            file.unlink()
+    earlier = [file for file in out.glob("*.xosc") if is_clip_name(file.with_suffix(".mp4").name)]
+    for file in earlier:
+        check_replaceable(file, "openscenario")
+    for file in earlier:
+        file.unlink()
     return len(write_event_scenarios(drive, events, out))
 
 

@@ -95,8 +95,8 @@ class InputOptions(Options):
         _fact_option(
             "Calibration file, recognised by its content: rig.yaml, ZED's SN*.conf, DepthAI's "
             "(OAK) JSON, RealSense's, OpenCV's, MATLAB's, NumPy's, Kalibr's, EuRoC's, ROS's, "
-            "KITTI's and others, or a folder of such files (default: rig.yaml or calib.txt in the "
-            "folder of the left video; without such a file, distances are uncalibrated).",
+            "KITTI's and others, or a folder of such files (default: NAME.rig.yaml of the left "
+            "video, else rig.yaml or calib.txt in its folder; without such a file, distances are uncalibrated).",
             is_per_clip=True,
         ),
     ] = None

@@ -14,6 +14,7 @@ from track_range.fleet.engine.cameras import (
     readable,
     with_cameras,
 )
+from track_range.fleet.engine.clip_run import clip_settings
 from track_range.fleet.engine.plan import FleetPlan, fleet_plan
 from track_range.fleet.inputs.clip import Clip, FleetInputError
 from track_range.fleet.settings import FleetSettings
@@ -170,6 +171,31 @@ def test_an_estimate_is_of_the_present_files_and_options(small_drive, tmp_path):
     assert "rig" in with_cameras(clips, dry, console)[0].settings
     dry = fleet_plan(settings.model_copy(update={"dry_run": True}), {})
     assert with_cameras(clips, dry, console) == clips
+
+
+@pytest.mark.slow
+def test_the_lens_is_evidence_of_the_estimate_and_no_option_of_its_clips(small_drive, tmp_path):
+    shutil.copy(small_drive.left, tmp_path / "a.mp4")
+    settings = FleetSettings(recordings=("x",), out=str(tmp_path / "out"), camera="dashcam")
+
+    def focal_px(own, **options):
+        clips = [Clip("a", str(tmp_path / "a.mp4"), settings=own)]
+        plan = fleet_plan(settings, options)
+        (clip,) = with_cameras(clips, plan, Console(quiet=True))
+        assert clip_settings(plan.options, clip).lens_fov_deg is None
+        return load_camera(Path(clip.settings["rig"]), size_px=None)[0].fx_px
+
+    narrow_px = focal_px({}, lens_fov_deg="40h")
+    assert focal_px({}, lens_fov_deg="110h") < 0.9 * narrow_px
+    assert focal_px({"lens_fov_deg": "40h"}) == pytest.approx(narrow_px)
+
+
+def test_clips_of_a_camera_have_one_lens(clips, tmp_path, film):
+    for clip in clips:
+        film(Path(clip.left), [0, 0.1])
+    clips[1] = replace(clips[1], settings={"lens_fov_deg": "140d"})
+    with pytest.raises(FleetInputError, match="one lens_fov_deg"):
+        with_cameras(clips, plan_of("dashcam", tmp_path / "out"), Console(quiet=True))
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import pytest
 
 from tests.track_range.fleet.fleet_results import done_record
 from track_range.fleet.engine.fleet_run import run_fleet
-from track_range.fleet.engine.plan import ClipTask, StageKeys, fleet_plan
+from track_range.fleet.engine.plan import ClipTask, StageKeys, fleet_plan, named_options
 from track_range.fleet.engine.remaining import (
     WouldReplaceError,
     present_fingerprint,
@@ -102,11 +102,21 @@ def test_results_of_earlier_versions(tmp_path, clip, options, is_same):
 def test_finished_results_are_not_replaced_unasked(tmp_path, clip):
     plan = plan_of(tmp_path)
     publish_record(plan.out, replace(plan.record(clip, 1), status="done").row())
-    FleetState(state="finished", options={"run": {}}).write(plan.out)
+    options = {"run": {"threads": 7, "clips": True}}  # which replace nothing
+    FleetState(state="finished", options=options).write(plan.out)
     before = (tmp_path / "out/fleet.json").read_bytes()
-    with pytest.raises(WouldReplaceError, match=r"--tracker.*of 1 clip; .*--overwrite"):
+    with pytest.raises(WouldReplaceError, match=r"\(--tracker\).*of 1 clip; .*--overwrite"):
         run_fleet(plan.settings, {"tracker": "sort"}, [clip])
     assert (tmp_path / "out/fleet.json").read_bytes() == before
+
+
+def test_results_of_another_version_are_not_replaced_unasked(tmp_path, clip):
+    plan = plan_of(tmp_path)
+    record = replace(plan.record(clip, 1), status="done", tracks_key="of another version")
+    publish_record(plan.out, record.row())
+    FleetState(state="finished", options=named_options(plan)).write(plan.out)
+    with pytest.raises(WouldReplaceError, match="another version of track-range"):
+        run_fleet(plan.settings, plan.options, [clip])
 
 
 def test_a_clip_table_of_an_earlier_version_lacks_columns(tmp_path, clip):

@@ -226,12 +226,23 @@ def test_events_know_their_clips_and_new_ones_remove_them(out, clip):
     (name,) = set(rows_of(events_location(plan.out, "a"))["clip_file"].to_pylist())
     assert name.startswith("runs/clip=a/clips/01-")
     assert (out / name).is_file()
+    in_table = out / "runs/clip=a/events.csv"
+    assert "clips/01-" in in_table.read_text()
     assert todo_of(plan_of(out, event_options=FOLLOWING), clip) == 1
     continued(plan_of(out, overwrite=True), clip)
     assert not (out / name).exists()
     assert (out / "runs/clip=a/overlay.mp4").is_file()
     (row,) = read_clips(plan.out).to_pylist()
     assert (row["outputs"], row["events"]) == (["overlay"], 0)
+
+
+def test_clips_that_are_made_later_are_named_in_tables_of_earlier_files(out, clip):
+    options = {"overlay": True, "event_options": FOLLOWING}
+    continued(plan_of(out, overwrite=True, **options), clip)
+    in_table = out / "runs/clip=a/events.csv"
+    assert "clips/01-" not in in_table.read_text()
+    assert continued(plan_of(out, clips=True, **options), clip).stage == "outputs"
+    assert "clips/01-" in in_table.read_text()
 
 
 def test_other_recordings_are_not_replaced_unasked(out, clip):

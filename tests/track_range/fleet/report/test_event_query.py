@@ -34,6 +34,8 @@ IS_TEXT = {field.name: pa.types.is_string(field.type) for field in TABLE.schema}
         ("min_ttc_front_s == 4.0", [4]),
         ("ego_mps > frame and (frame == 1 or frame == 4)", [1, 4]),
         ('class == "class"', []),
+        ("min_ttc_s not in (1.5, 7)", [2, 4]),
+        ("not min_ttc_s in (1.5,)", [2, 4]),
     ],
 )
 def test_meaning(text, frames):
@@ -55,6 +57,8 @@ def test_meaning(text, frames):
         ("min_ttc_s.real < 2", "expected a condition"),
         ("__import__('os').getcwd() == 'x'", "expected a condition"),
         ("kind in 'cut_in'", "expected a condition"),
+        ("kind == min_ttc_s", "two texts or two numbers"),
+        (f"frame == {10**30}", "a number"),
         ("frame < 2 if frame else kind", "expected a condition"),
         ("(" * 600 + "frame < 2" + ")" * 600, "expected a condition"),
     ],

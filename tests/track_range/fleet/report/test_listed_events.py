@@ -99,5 +99,7 @@ def test_command_copies_videos_and_writes_all_columns(out, tmp_path, cli):
 def test_command_takes_the_folder_second_and_explains_conditions(out, cli):
     assert "1 of 3 events" in cli("fleet", "events", "min_ttc_s < 2", out)[1]
     assert "3 of 3 events" in cli("fleet", "events", out)[1]
+    status, _, error = cli("fleet", "events", "min_ttc_s < 2")
+    assert (status, "folder of the results" in error) == (2, True)
     status, _, error = cli("fleet", "events", out, "min_tcc_s < 2")
     assert (status, "did you mean min_ttc_s" in error) == (1, True)

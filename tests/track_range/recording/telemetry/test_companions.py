@@ -8,8 +8,8 @@ from track_range.recording.telemetry.companions import companions
 
 def test_names_of_a_video_and_of_a_folder_of_images():
     of_video, of_folder = companions("drive.mp4"), companions("data", is_folder=True)
-    assert of_video["rig"] == ("drive.rig.yaml", "rig.yaml", "calib.txt")
-    assert of_folder["rig"] == ("data.rig.yaml", "rig.yaml", "calib.txt")
+    assert of_video["rig"] == ("drive.rig.yaml", "drive.calib.txt", "rig.yaml", "calib.txt")
+    assert of_folder["rig"] == ("data.rig.yaml", "data.calib.txt", "rig.yaml", "calib.txt")
     assert of_video["times"] == of_folder["telemetry"] == ()
     assert {"drive.gpx", "drive.GPX", "drive.nmea"} <= set(of_video["telemetry"])
     assert of_video["speed"] == ("drive.ego_speed.csv", "ego_speed.csv", "oxts/")

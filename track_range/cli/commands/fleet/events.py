@@ -6,6 +6,7 @@ from typing import Annotated
 from track_range.cli.commands.fleet.report import FleetStatusOptions
 from track_range.cli.shared.console import console, print_grid, print_line, print_notes
 from track_range.cli.shared.parameters import command
+from track_range.foundation.errors import UsageError
 from track_range.foundation.schemas.options import option
 
 _N_SHOWN = 50  # events in the table
@@ -41,13 +42,19 @@ def _fleet_events(options: FleetEventsOptions) -> None:
     from track_range.fleet.report.fleet_events import copied_videos, fleet_events
     from track_range.fleet.report.fleet_grids import event_grid
     from track_range.fleet.storage.location import Location
-    from track_range.foundation.files.input_files import counted
+    from track_range.foundation.files.input_files import counted, quoted, shortened
     from track_range.foundation.files.output_files import write_json
     from track_range.run.progress import step_progress
 
     folder, condition = options.out, options.condition
-    if Path(condition).is_dir() and not Path(folder).exists():  # given in the other order
+    is_folder = Path(folder).exists()
+    if condition and Path(condition).is_dir() and not is_folder:  # given in the other order
         folder, condition = condition, folder
+    elif not condition and not is_folder and "://" not in folder and set("<>=!") & set(folder):
+        raise UsageError(
+            f"{quoted(shortened(folder, 80))}: expected the folder of the results before the "
+            "condition: track-range fleet events OUT CONDITION."
+        )
     out = Location.of(folder)
     with step_progress(console, "reading events") as progress:
         listed = fleet_events(out, condition, progress)
