@@ -286,6 +286,7 @@ def _outputs(settings: FleetSettings, run: RunSettings, is_written: bool) -> tup
     others = {
         f"{overlay}{', recorded images' * run.overlay_recorded}": run.overlay,
         "clips": run.clips,
+        "counts": bool(run.count_line or run.zone),
         "disparity": run.disparity,
         "telemetry": run.keep_gps,
         "reports": settings.reports,

@@ -245,6 +245,14 @@ def test_clips_that_are_made_later_are_named_in_tables_of_earlier_files(out, cli
     assert "clips/01-" in in_table.read_text()
 
 
+def test_counts_are_kept(clip, tmp_path):
+    left = replace(clip, right=None)
+    plan = plan_of(tmp_path / "out", static_camera=True, count_line=("gate=100,300,800,300",))
+    processed(plan, left)
+    assert runs_location(plan.out, "a").child("crossings.csv").exists()
+    assert todo_of(plan, left) == 1
+
+
 def test_other_recordings_are_not_replaced_unasked(out, clip):
     plan = plan_of(out)
     outcome = run_clip(ClipTask(clip, known_hash="sha256:0", stage=""), plan, ClipProgress())
