@@ -110,9 +110,12 @@ def with_cameras(clips: Sequence[Clip], plan: FleetPlan, console: Console) -> li
             sentence = _estimated(used, rig, inputs, plan, console)
         if sentence:
             rigs |= {clip.name: str(rig) for clip in of_camera}
+        # folders of one name may be of different cameras
+        n_folders = len({str(Location.of(clip.left).parent) for clip in of_camera})
+        folders = f" in {n_folders} folders" if n_folders > 1 else ""
         console.print(
             f"Camera {printable(name)}: {sentence or 'Not estimated yet.'} By {len(used)} of "
-            f"{counted(len(of_camera), 'clip')}.",
+            f"{counted(len(of_camera), 'clip')}{folders}.",
             highlight=False,
             markup=False,
             soft_wrap=True,

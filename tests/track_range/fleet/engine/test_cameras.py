@@ -75,6 +75,18 @@ def test_a_dry_run_names_the_cameras_and_counts_the_clips_that_can_be_opened(
     assert not (tmp_path / "out").exists()
 
 
+def test_folders_of_one_name_are_counted(tmp_path, film, capsys):
+    clips = []
+    for van in ("van-1", "van-2"):
+        (tmp_path / van / "front").mkdir(parents=True)
+        film(tmp_path / van / "front" / "a.mp4", [0, 0.1])
+        clips.append(Clip(f"{van}/front/a", str(tmp_path / van / "front" / "a.mp4")))
+    with_cameras(clips, plan_of("{folder}", tmp_path / "out", is_dry=True), Console(width=300))
+    assert capsys.readouterr().out == (
+        "Camera front: Not estimated yet. By 2 of 2 clips in 2 folders.\n"
+    )
+
+
 def test_clips_with_a_calibration_keep_it(clips, tmp_path):
     first, second, third = clips
     pair = replace(first, right=str(tmp_path / "right.mp4"))
