@@ -299,7 +299,7 @@ def test_a_height_that_contact_points_hardly_confirm_is_a_note():
     wrong = check_of(None, seed=0, n=8, height_m=1.5 * 1.16)
     assert wrong.doubt is None
     (note,) = wrong.notes
-    assert note.startswith("The camera height is 1.21 ± 0.14 times what the drive shows, by where")
+    assert note.startswith("The camera height is 1.21 ± 0.14 times what the drive shows, by the")
     assert "no contradiction yet" in note
     assert check_of(None, seed=0, n=8, height_m=1.5).notes == ()
 

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 Number = Annotated[float, Field(strict=True)]
 Figure = Annotated[float, Field(strict=True, gt=-1e15, lt=1e15, allow_inf_nan=False)] | None
 """Finite number, or null = unknown; the limits are larger than any value of a run."""
+_Interval = Annotated[list[Figure], Field(min_length=2, max_length=2)]
 _FrameNumber = Annotated[int, Field(strict=True, ge=0, lt=10**9)]
 Text = Annotated[str, Field(strict=True)] | None
 
@@ -26,7 +27,7 @@ class _Section(BaseModel):
 class _Figures(_Section):
     """Section in which all other keys are figures too."""
 
-    __pydantic_extra__: dict[str, Figure | list[Figure]]
+    __pydantic_extra__: dict[str, Figure | _Interval]
 
 
 class _Band(_Figures):
@@ -36,7 +37,7 @@ class _Band(_Figures):
 
 class _Method(_Figures):
     bands: list[_Band] | None = None
-    by_class: dict[str, dict[str, Figure | list[Figure]]] | None = None
+    by_class: dict[str, dict[str, Figure | _Interval]] | None = None
 
 
 class _RigDistance(_Figures):
@@ -134,7 +135,7 @@ _SUMMARY = _section(
     ),
     **_all(Text, "settings_hash truth calibration region"),
     **_all(dict[str, Figure], "stages_ms latency_ms stereo_unmatched stereo_surfaces"),
-    **_all(dict[str, Figure | list[Figure]], "closing lateral"),
+    **_all(dict[str, Figure | _Interval], "closing lateral"),
     targets=dict[str, Any],
     **_all(dict[str, _Method], "methods common"),
     **_all(dict[str, Any], "inputs settings versions"),
@@ -187,14 +188,7 @@ def valid_summary(summary: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]
         try:
             _SUMMARY.model_validate(valid)
         except ValidationError as error:
-            # A section without a required key is omitted as a whole.
-            paths = {e["loc"][:-1] if e["type"] == "missing" else e["loc"] for e in error.errors()}
-            ordered = sorted(
-                paths,
-                key=lambda path: [
-                    (-1, part) if isinstance(part, str) else (part, "") for part in path
-                ],
-            )
+            ordered = _invalid_places(error, valid)
             invalid += [".".join(map(str, path)) for path in ordered]
             for *sections, name in reversed(ordered):  # the last item of a list first
                 container = valid
@@ -203,6 +197,31 @@ def valid_summary(summary: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]
                 del container[name]
         else:
             return valid, invalid
+
+
+def _invalid_places(
+    error: ValidationError, summary: Mapping[str, Any]
+) -> list[tuple[int | str, ...]]:
+    """Places of invalid values, in order; a section without a required key is one as a whole."""
+    places = (e["loc"][:-1] if e["type"] == "missing" else e["loc"] for e in error.errors())
+    return sorted(
+        {_existing(place, summary) for place in places},
+        key=lambda place: [(-1, part) if isinstance(part, str) else (part, "") for part in place],
+    )
+
+
+def _existing(place: tuple[int | str, ...], value: Any) -> tuple[int | str, ...]:
+    """The part of the place of an error that names keys and items; the rest names types of a
+    union.
+    """
+    known: list[int | str] = []
+    for part in place:
+        is_item = isinstance(value, list) and isinstance(part, int)
+        if not is_item and not (isinstance(value, dict) and part in value):
+            break
+        value = value[part]
+        known.append(part)
+    return tuple(known)
 
 
 def _copied(value: Any) -> Any:

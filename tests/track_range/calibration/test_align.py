@@ -246,7 +246,7 @@ def test_invalid_output_paths(drive_folder, videos, tmp_path, cli):
     (tmp_path / "file").write_text("")
     before = (drive_folder / "rig.yaml").read_text()
     for out, word in (
-        (tmp_path / "file" / "align.yaml", "written"),
+        (tmp_path / "file" / "align.yaml", "found a file"),
         (tmp_path, "folder"),
         (drive_folder / "rig.yaml", "rig.yaml"),
     ):

@@ -117,4 +117,4 @@ def test_fleets(
     assert status == 0
     settings = FleetSettings(recordings=("clips",), out="out", rig_camera="cam_1")
     one, other = (fleet_plan(settings, {"camera": name}) for name in ("cam_1", "cam_2"))
-    assert one.settings_hash != other.settings_hash
+    assert one.keys.settings != other.keys.settings

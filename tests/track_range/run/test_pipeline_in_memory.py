@@ -302,11 +302,13 @@ def test_focal_length_that_was_not_given_has_a_wide_sigma(plain_drive: Drive) ->
         for left, _ in pairs:
             wide = unknown.step(left.image, left.time_s)
             known = given.step(left.image, left.time_s)
-    width_px = pairs[0][0].image.shape[1]
+    height_px, width_px = pairs[0][0].image.shape[:2]
     assert known.focal is None
     assert wide.focal is not None
-    # the usual field of view of 75 degrees
-    assert wide.focal.focal_px == pytest.approx(width_px / 2 / math.tan(math.radians(37.5)))
+    # the usual field of view of 75 degrees, across an image of 16:9 with the same diagonal
+    usual_px = math.hypot(width_px, height_px) / math.hypot(16, 9) * 16
+    half_px = usual_px / 2
+    assert wide.focal.focal_px == pytest.approx(half_px / math.tan(math.radians(37.5)), rel=2e-3)
     assert (wide.focal.sigma, wide.focal.since_s) == (0.3, 0.0)
     assert "usual field of view" in wide.focal.sentence
     relative = np.nanmedian(wide.ranges["fused"].sigma_m / wide.ranges["fused"].distance_m)
