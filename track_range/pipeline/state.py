@@ -19,7 +19,7 @@ import cv2
 from track_range.foundation.background import Background, BackgroundObject
 from track_range.foundation.errors import UserError
 
-STATE_VERSION = 1  # of the content of a state
+STATE_VERSION = 2  # of the content of a state
 _WAIT_S = 60.0  # longest time for calls in the background, which take some seconds
 _LOCK_TYPES = (type(threading.Lock()), type(threading.RLock()))
 
@@ -60,8 +60,9 @@ def check_version(state: object, version: str) -> None:
         )
     if (state.version, state.made_by) != (STATE_VERSION, version):
         raise StateError(
-            f"state: expected one of track-range {version}, found one of {state.made_by}; only the "
-            "version that made a state can restore it: start a new drive with the frames from now on."
+            f"state: expected one of track-range {version} (format {STATE_VERSION}), found one of "
+            f"{state.made_by} (format {state.version}); only the version that made a state can "
+            "restore it: start a new drive with the frames from now on."
         )
 
 

@@ -58,6 +58,7 @@ from track_range.run.options.opened import open_detector
 from track_range.run.options.python_keywords import options_and_objects, pipeline_options
 from track_range.run.options.settings import PipelineOptions, RunSettings
 from track_range.run.ready_model import ready_model
+from track_range.run.reports.visibility import Visibility
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -84,6 +85,7 @@ _N_LATENCIES = 1000  # latest frames of which the latency is stated
 _SAME_CLOCK_S = 10.0
 # time of frames after which the notes are looked at for `Pipeline.health`
 _HEALTH_S = 1.0
+_N_LOOKS = 10  # latest images of which the visibility is known, each of ten frames
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +140,7 @@ class _Drive:
     parts: _Parts | None = None  # None = before the first frame
     times: StepTimes = field(default_factory=StepTimes)
     n_frames: int = 0
+    visibility: Visibility = field(default_factory=lambda: Visibility(_N_LOOKS))
     health: Health = field(default_factory=Health)
     time_s: float = 0.0  # of the last frame, and of the one at which the health was looked at
     checked_s: float = -_HEALTH_S
@@ -365,8 +368,8 @@ class Pipeline:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Messages for the user about the detector, the calibration, the pair and the methods so
-        far.
+        """Messages for the user about the visibility of the latest frames, the detector, the
+        calibration, the pair and the methods so far.
         """
         self._use_estimates()
         return self._notes()
@@ -383,7 +386,7 @@ class Pipeline:
     def _notes(self) -> tuple[str, ...]:
         drive, boxes = self._drive, self._boxes.notes()
         of_parts = () if drive.parts is None else drive.parts.notes
-        return (*boxes, *drive.times.notes, *of_parts)
+        return (*drive.visibility.notes(), *boxes, *drive.times.notes, *of_parts)
 
     def _look_at_health(self) -> None:
         drive = self._drive
@@ -612,6 +615,7 @@ class Pipeline:
         drive.times.add(moment)
         drive.n_frames += 1
         drive.rows.add(result)
+        drive.visibility.add(result)
         drive.time_s = result.time_s
         if drive.time_s >= drive.checked_s + _HEALTH_S:
             drive.checked_s = drive.time_s

@@ -105,6 +105,9 @@ def test_states_that_cannot_be_restored_are_named() -> None:
     other = replace(state, made_by="0.1.0")
     with pytest.raises(tr.errors.StateError, match=r"one of track-range .*found one of 0\.1\.0"):
         tr.Pipeline.restore(other)
+    earlier = replace(state, version=1)
+    with pytest.raises(tr.errors.StateError, match=r"format 2\), found one of .*\(format 1"):
+        tr.Pipeline.restore(earlier)
     with pytest.raises(tr.errors.StateError, match=r"^detector: expected the detector object"):
         tr.Pipeline.restore(state)
     with pytest.raises(tr.errors.StateError, match="found other bytes"):
@@ -187,6 +190,21 @@ def test_health_has_codes_since_when_and_the_sentences_of_the_notes() -> None:
     assert health.of("speed") == "ok"
     assert health.sensors["left"] == "warning"
     assert health.codes >= {"view-not-ahead", "times-not-in-seconds"}
+
+
+def test_health_says_that_a_pipeline_cannot_see_and_that_it_sees_again() -> None:
+    options = {**OPTIONS, "detector": OneCar(), "focal_px": 500}
+    patches = np.kron(noise(1)[::40, ::40], np.ones((40, 40, 1), np.uint8))
+    day = (patches // 2 + noise(2) // 4).astype(np.uint8)
+    with tr.Pipeline.mono(**options) as pipeline:
+        for k in range(10):
+            pipeline.step(day // 20, 0.1 * k)
+        (low,) = (item for item in pipeline.health.items if item.code == "low-visibility")
+        assert (low.severity, low.sensor, low.since_s) == ("warning", "left", 0.0)
+        assert "100 % of the latest frames" in low.sentence
+        for k in range(10, 110):
+            pipeline.step(day, 0.1 * k)
+        assert "low-visibility" not in pipeline.health.codes
 
 
 def test_a_dark_right_camera_is_an_error_of_the_right_camera(drive: Drive) -> None:

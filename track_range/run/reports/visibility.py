@@ -8,6 +8,7 @@ detector finds at least 85 % of what it finds in daylight (`python -m benchmarks
     sharpness    root mean square difference of neighbours, relative to that of pixels eight times as far apart
 """
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -85,10 +86,12 @@ def look_of(image: ImageView) -> Look:
 class Visibility(Reports):
     """The visibility in the frames of a run, which are passed in order."""
 
-    def __init__(self) -> None:
+    def __init__(self, n_latest: int | None = None) -> None:
+        """`n_latest` images are kept of a drive without an end; None = all of a video."""
         self._n_frames = 0
-        self._times_s: list[float] = []
-        self._looks: list[Look] = []
+        self._of = "the video" if n_latest is None else "the latest frames"
+        self._times_s: deque[float] = deque(maxlen=n_latest)
+        self._looks: deque[Look] = deque(maxlen=n_latest)
 
     def add(self, result: FrameResult) -> None:
         """Add a frame."""
@@ -122,7 +125,10 @@ class Visibility(Reports):
         section |= {"sentence": "", "figures": "", "is_low": section["outside"] >= _MOSTLY}
         if section["outside"] >= _NOTED:
             seen = [look for look, is_one in zip(self._looks, is_outside, strict=True) if is_one]
-            section |= {"sentence": low_visibility(section), "figures": _figures(_medians(seen))}
+            section |= {
+                "sentence": low_visibility(section, self._of),
+                "figures": _figures(_medians(seen)),
+            }
         return {"visibility": {**section, "spans_s": section["spans_s"][:_MOST_SPANS]}}
 
     def _spans(self, is_outside: Sequence[bool]) -> list[list[float]]:
@@ -149,13 +155,15 @@ def _share(flags: Sequence[bool]) -> float:
     return round(float(np.mean(flags)), 3)
 
 
-def low_visibility(section: Mapping[str, Any]) -> str:
-    """Sentence on the section `visibility` of a run that is partly outside of what was measured."""
+def low_visibility(section: Mapping[str, Any], of: str) -> str:
+    """Sentence on the section `visibility` of images that are partly outside of what was measured;
+    `of` names them.
+    """
     names = sorted((name for name in _WORDS if section[name] > 0), key=lambda name: -section[name])
     shown = " and ".join(_WORDS[name] for name in names[:2])
     first, last = section["spans_s"][0][0], section["spans_s"][-1][1]
     return (
-        f"The images are {shown} in {100 * section['outside']:.0f} % of the video, from {first:.1f} "
+        f"The images are {shown} in {100 * section['outside']:.0f} % of {of}, from {first:.1f} "
         f"to {last:.1f} s: road users are missed there, and what is not reported may have happened."
     )
 
