@@ -88,6 +88,7 @@ def test_grey_images_of_a_right_camera_stay_grey() -> None:
             r"left: expected an image in rgb8, uint8 \(H, W, 3\), found uint8 \(8, 12\)",
         ),
         (GREY, "mono16", r"uint16 \(H, W\), found uint8"),
+        (np.full((8, 12), 4096, np.uint16), "mono12", "values of 12 bits.*name images of 16 bits"),
         (BGR, "bgra8", r"\(H, W, 4\), found uint8 \(8, 12, 3\)"),
         (np.zeros((10, 12), np.uint8), "nv12", r"\(3 H / 2, W\), found uint8 \(10, 12\)"),
         (np.zeros((4, 3, 2), np.uint8), "yuyv", r"\(H, W, 2\), found uint8 \(4, 3, 2\)"),

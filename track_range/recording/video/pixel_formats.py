@@ -20,6 +20,8 @@ from track_range.foundation.files.images import MAX_PIXELS
 from track_range.foundation.files.input_files import quoted
 from track_range.recording.video.frame import FrameError
 
+_WHITE = 255  # largest value of 8 bits
+
 
 class PixelFormat(NamedTuple):
     """How an image is stored."""
@@ -96,7 +98,13 @@ def bgr_of(
     form = pixel_format_of(pixel_format)
     _check(pixels, form, f"{name}: expected an image in {pixel_format}")
     if form.n_bits > 8:
-        pixels = (pixels >> (form.n_bits - 8)).astype(np.uint8)
+        pixels = pixels >> (form.n_bits - 8)
+        if pixels.max() > _WHITE:
+            raise FrameError(
+                f"{name}: expected values of {form.n_bits} bits in {pixel_format}, found larger ones; "
+                "name images of 16 bits mono16."
+            )
+        pixels = pixels.astype(np.uint8)
     if form.to_bgr is None or (keeps_grey and form.is_grey):
         return np.asarray(pixels)
     return np.asarray(cv2.cvtColor(pixels, form.to_bgr)).astype(np.uint8, copy=False)
