@@ -5,6 +5,7 @@
 import json
 import math
 import shutil
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -105,6 +106,17 @@ def test_time_and_video_of_the_motion():
     # the standing camera has one keyframe at 61 s; the camera moves from 62.0 to 64.4 s
     assert 61.0 <= found.span_s[0] <= 62.5
     assert found.span_s[1] == pytest.approx(64.4, abs=0.3)
+
+
+def test_dark_images_show_no_lens():
+    camera = PinholeCamera.of_focal_length(300.0, (400, 240))
+    view = RoadEvidence(has_horizon=False)
+    frames = (
+        replace(frame, left=frame.left // 8) for frame in shifted_frames(0.0, [0] * 6 + [6] * 12)
+    )
+    view.add("night.mp4", camera, frames, lambda _frame: Detections.empty(), lambda *_: None)
+    view.measure_lens()
+    assert view.lens is None
 
 
 def test_views_of_one_object_are_thinned():
