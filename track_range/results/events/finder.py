@@ -65,6 +65,7 @@ _MAX_SPEED_MPS = 70.0  # of a road user; above, the track is wrong
 _CLEAR_SIGMAS = 2.0  # a gap of fewer standard deviations does not exclude a contact
 # of a hard approach, more than tyres allow; above, it was a contact, or wrong
 _MAX_BRAKING_MPS2 = 15.0
+_LEAST_SHOWN_MPS2 = 0.05  # a smaller required deceleration would be shown as 0.0
 
 
 # probability of contact below which an alarm is for a cut-in, the smallest one that starts another:
@@ -551,7 +552,7 @@ def _trigger(first: dict[str, float]) -> str:
     if math.isfinite(first["ttc_front_s"]):
         when = f" in {first['ttc_front_s']:.1f} s"
     needed = ""
-    if math.isfinite(first["mdrac_mps2"]):
+    if first["mdrac_mps2"] >= _LEAST_SHOWN_MPS2:
         needed = f", which after 1 s of reaction needs {first['mdrac_mps2']:.1f} m/s²"
     return f"contact{when} without braking{_predicted(first)}{needed}"
 

@@ -18,6 +18,7 @@ import numpy as np
 from track_range.foundation.files.input_files import counted
 from track_range.results.events.event import Event, probability_words
 from track_range.results.rows.rows import Rows
+from track_range.results.rows.supported import MAX_RELATIVE_SIGMA
 from track_range.stereo.geometry.alignment import MAX_ROW_OFFSET_PX
 from track_range.views import tables
 from track_range.views.report.content.events import (
@@ -33,6 +34,7 @@ from track_range.views.tables import Summary
 _FAR_M = 50.0  # distance in metres at which the effect of the remaining disparity error is given
 # smallest probability of contact of a headline, as of the amber marks in the overlay
 _MIN_PROBABILITY = 0.25
+_LIKELY = 0.5  # probability of an event from which on it is a contact that was predicted
 
 
 def run_name(summary: Summary) -> str:
@@ -69,7 +71,15 @@ def headlines(
     first = (
         _user_headline(users) if events is None else event_headline(events, len(users), visibility)
     )
-    return [first, _nearest_headline(users), _collision_headline(rows, users, visibility)]
+    # a contact that was warned of and is too short for a supported time: another road user's
+    # longer time is then not the shortest one
+    is_hidden = any(
+        event.probability >= _LIKELY and np.isfinite(event.warning_s) and np.isnan(event.min_ttc_s)
+        for event in events or ()
+    )
+    timed = [] if is_hidden else [user for user in users if user["min_ttc_front_s"] is not None]
+    collision = _shortest_headline(timed) or _probability_headline(rows, users, visibility)
+    return [first, _nearest_headline(users), collision]
 
 
 def _headline(figure: str, words: str, time_s: float | None = None) -> dict[str, Any]:
@@ -141,8 +151,11 @@ def _user_headline(users: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _nearest_headline(users: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    if not users or users[0]["min_distance_m"] is None:
+    if not users:
         return _headline("No distance", "no distance to a road user was measured")
+    if users[0]["min_distance_m"] is None:
+        within = f"{100 * MAX_RELATIVE_SIGMA:.0f} %"
+        return _headline("No distance", f"is known within {within} in several frames in a row")
     sigma_m = users[0]["min_distance_sigma_m"]
     uncertainty = "" if sigma_m is None else f" (±{sigma_words(sigma_m)} m)"
     figure, words = (
@@ -152,16 +165,19 @@ def _nearest_headline(users: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return _user_moment(users[0], "min_distance_m", figure, words)
 
 
-def _collision_headline(
+def _shortest_headline(timed: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """Shortest time to collision of road users that have one; None = none has."""
+    if not timed:
+        return None
+    user = min(timed, key=lambda one: one["min_ttc_front_s"])
+    words = "shortest time to collision with the front of the ego vehicle"
+    return _user_moment(user, "min_ttc_front_s", f"{user['min_ttc_front_s']:.1f} s", words)
+
+
+def _probability_headline(
     rows: Rows, users: Sequence[Mapping[str, Any]], visibility: Mapping[str, Any] | None
 ) -> dict[str, Any]:
-    """Shortest time to collision; without one, the largest probability of contact."""
-    known = [user for user in users if user["min_ttc_front_s"] is not None]
-    if known:
-        user = min(known, key=lambda one: one["min_ttc_front_s"])
-        words = "shortest time to collision with the front of the ego vehicle"
-        figure = f"{user['min_ttc_front_s']:.1f} s"
-        return _user_moment(user, "min_ttc_front_s", figure, words)
+    """Largest probability of contact."""
     is_user = np.isin(rows["track_id"], [user["track_id"] for user in users])
     probability = np.where(is_user, rows["contact_probability"], np.nan)
     row = int(np.nanargmax(probability)) if np.isfinite(probability).any() else -1

@@ -119,6 +119,12 @@ def test_reason_of_an_alarm_without_a_time_to_collision() -> None:
     assert "nan" not in event.reason
 
 
+def test_a_deceleration_of_zero_is_no_reason() -> None:
+    seen = Seen(distance_m=8.5, closing_mps=0.3, probability=0.9, active=True)
+    (event,) = events_of(frame(i, seen, ego_mps=20.0) for i in range(5))
+    assert event.reason.endswith("without braking (predicted probability 90 %).")
+
+
 def test_one_frame_is_no_extreme_of_an_event() -> None:
     """A distance, speed and time of one frame of an alarm, which the frames around it contradict."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -226,6 +227,20 @@ def test_headlines_of_events() -> None:
     assert shown(columns, None)[0]["figure"] == "1 road user"
 
 
+def test_a_warned_contact_is_not_hidden_by_the_longer_time_of_another() -> None:
+    columns = {**track_rows((1, 300.0), (2, 500.0)), "observed": np.ones(80)}
+    columns |= {"fused_m": np.full(80, 20.0), "fused_sigma_m": np.full(80, 0.5)}
+    columns |= {"ttc_s": np.full(80, 22.0), "ttc_front_s": np.full(80, 22.0)}
+    is_short = np.arange(80) >= 78  # seen in two frames before the contact
+    columns = {name: values[(np.arange(80) < 40) | is_short] for name, values in columns.items()}
+    columns["ttc_front_s"][-2:] = columns["ttc_s"][-2:] = 0.3
+    columns["contact_probability"] = np.where(columns["track_id"] == 2, 0.97, 0.0)
+    short = event(kind="forward_collision", track_id=2, warning_s=3.8, probability=0.97)
+    assert shown(columns, [short])[2]["figure"] == "97 %"
+    assert "car 2" in shown(columns, [short])[2]["words"]
+    assert shown(columns, [replace(short, probability=0.2)])[2]["figure"].startswith("22.0 s")
+
+
 def test_headline_of_a_probability() -> None:
     columns = {
         **track_rows((1, 300.0)),
@@ -240,6 +255,14 @@ def test_headline_of_a_probability() -> None:
     assert shown(columns, [])[2]["figure"] == "Below 25 %"
     columns["contact_probability"] = np.full(40, np.nan)
     assert shown(columns, [])[2]["figure"] == "Not known"
+
+
+def test_a_distance_of_an_unknown_scale_is_not_called_unmeasured() -> None:
+    columns = {**track_rows((1, 300.0)), "observed": np.ones(40), "fused_m": np.full(40, 20.0)}
+    columns["fused_sigma_m"] = np.full(40, 15.5)
+    nearest = shown(columns, [])[1]
+    assert nearest["figure"] == "No distance"
+    assert nearest["words"] == "is known within 50 % in several frames in a row"
 
 
 def test_links_to_clips() -> None:
