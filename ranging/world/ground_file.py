@@ -26,6 +26,7 @@ from track_range.ranging.world.road_plane_fit import GroundError
 from track_range.stereo.geometry.camera import PinholeCamera
 
 _SAME_FOCAL = 0.02  # largest relative difference of a calibration from that of the file
+_AS_FITTED = "fit it again with this calibration, or omit the calibration"
 _Row = Annotated[list[Number], Field(min_length=len(THETA), max_length=len(THETA))]
 _Side = Annotated[int, Field(gt=0, lt=100_000)]
 
@@ -107,11 +108,16 @@ def checked_plane(path: Path, camera: PinholeCamera) -> RoadPlane:
             f"{path}: expected the plane of images of {own_width}x{own_height} px, found "
             f"{width}x{height} px; fit it again with this video, or this --rig."
         )
-    focal_px = file.calibrated_focal_px
-    if focal_px is not None and abs(focal_px / camera.fx_px - 1) > _SAME_FOCAL:
+    focal_px = file.calibrated_focal_px or file.plane.camera.fx_px
+    if abs(focal_px / camera.fx_px - 1) > _SAME_FOCAL:
+        how = (
+            "give the --rig with which the plane was fitted"
+            if file.calibrated_focal_px
+            else _AS_FITTED
+        )
         raise GroundError(
             f"{path}: expected the plane of images with a focal length of {camera.fx_px:.0f} px, "
-            f"found {focal_px:.0f} px; give the --rig with which the plane was fitted."
+            f"found {focal_px:.0f} px; {how}."
         )
     return file.plane
 

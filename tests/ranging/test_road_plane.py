@@ -122,6 +122,9 @@ def test_file_gives_the_plane_back_and_is_checked(tmp_path):
         checked_plane(tmp_path / "ground.yaml", PinholeCamera.of_focal_length(500.0, (640, 360)))
     with pytest.raises(GroundError, match="focal length"):
         checked_plane(tmp_path / "ground.yaml", CAMERA.with_focal_length(1100.0))
+    save_ground(tmp_path / "plain.yaml", GroundFile(plane))
+    with pytest.raises(GroundError, match="omit the calibration"):
+        checked_plane(tmp_path / "plain.yaml", CAMERA.with_focal_length(1400.0))
     text = (tmp_path / "ground.yaml").read_text().replace("log_focal", "log_focus")
     (tmp_path / "wrong.yaml").write_text(text)
     with pytest.raises(GroundError, match=r"wrong\.yaml"):

@@ -18,6 +18,7 @@ from track_range.calibration.drive.shown_mounting import with_mounting
 from track_range.detection.detector import ObjectDetector
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.background import beside_steps
+from track_range.foundation.errors import UsageError
 from track_range.foundation.progress import StepProgress
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.ranging.cameras.known_distances import KnownDistance, KnownDistances
@@ -26,9 +27,10 @@ from track_range.ranging.size_models.region import Region, region_at
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.ranging.truth.truth import Truth, read_truth
 from track_range.recording.recording import Recording
-from track_range.recording.speed_source import AUTO, SpeedSource, open_speed
+from track_range.recording.speed_source import AUTO, OFF, SpeedSource, open_speed
 from track_range.recording.telemetry.tracks.positions import has_position
 from track_range.recording.telemetry.tracks.track import TelemetryTrack
+from track_range.results.counts.places import check_inside, parsed_places
 from track_range.results.progress_note import LOADING
 from track_range.run.box_source import (
     BoxSource,
@@ -91,12 +93,14 @@ def open_run(
     opening_s = time.perf_counter() - start_s - (alignment.estimation_s if alignment else 0.0)
     with ExitStack() as on_error:
         on_error.callback(recording.close)
+        _check_places(settings, recording)
         report(LOADING)
         box_source = _box_source(settings, recording, detector, open_detector, console, boxes)
         again = partial(open_input, settings, rig=rig)
         recording = _with_mounting(recording, settings, again)
         mounting = recording.opened.view_mounting(settings.mounting)
-        speed = open_speed(settings.ego_speed, recording, mounting)
+        is_static = settings.static_camera
+        speed = open_speed(OFF if is_static else settings.ego_speed, recording, mounting)
         if detector is None:  # an object may depend on the order of the frames
             # the pre-pass knows cameras that look ahead
             given = speed.ego if looks_ahead(mounting) else None
@@ -136,6 +140,15 @@ def open_run(
         pipeline=pipeline,
         opening_s=opening_s,
     )
+
+
+def _check_places(settings: RunSettings, recording: Recording) -> None:
+    """UsageError for lines and zones outside of the video."""
+    places = parsed_places(settings.count_line, settings.zone)
+    try:
+        check_inside(places, recording.calibration.rectifier.recorded_size_px)
+    except ValueError as error:
+        raise UsageError(f"{error}.") from error
 
 
 def _truth(settings: RunSettings, recording: Recording) -> Truth | None:

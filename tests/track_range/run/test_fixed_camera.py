@@ -2,6 +2,8 @@
 
 import csv
 import json
+import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +11,8 @@ import pytest
 import track_range as tr
 from tests.support.command_line import run_command
 from tests.support.recordings.recording_files import write_video
+from track_range.errors import UsageError
+from track_range.run.reports.fixed_camera import FixedCamera
 from track_range.simulation.camera.fixed_files import crossings, line_texts, point_texts
 from track_range.simulation.camera.playback import play_back
 from track_range.simulation.tables import kitti_text
@@ -130,6 +134,32 @@ def test_options_of_a_fixed_camera_need_it(cli, tmp_path):
     status, _, errors = cli("--mono", "video.mp4", "--static-camera", "--zone", "a=1,2,3,4")
     assert status == 2
     assert "X3,Y3" in errors
+    status, _, errors = cli("--mono", "video.mp4", "--static-camera", "--ego-speed", "10")
+    assert status == 2
+    assert "--ego-speed is for a camera that drives" in errors
+
+
+def test_a_line_outside_of_the_video_is_refused(street):
+    folder, _ = street
+    run = tr.Run.mono(
+        folder / "street.mp4",
+        static_camera=True,
+        count_line=("a=10,300,900,300",),
+        detections=folder / "boxes.txt",
+    )
+    with pytest.raises(UsageError, match=r"line or zone a: .* 640x360"):
+        next(iter(run))
+
+
+@pytest.mark.parametrize(("known", "is_noted"), [(66, True), (20, False)])
+def test_a_recording_that_stands_is_told_of_the_option(known, is_noted):
+    speeds = [math.nan] * (70 - known) + [0.0] * known
+    for extra in ([], [3.0] * 20):  # a drive that waits at a light
+        rows = SimpleNamespace(
+            ego_mps=speeds + extra, seconds=7.0, counter=SimpleNamespace(n_unsure={})
+        )
+        notes = FixedCamera(rows, None, is_static=False).notes()
+        assert any("--static-camera" in note for note in notes) == (is_noted and not extra)
 
 
 def test_measurements_that_are_none_are_refused(cli, street):

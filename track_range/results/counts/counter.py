@@ -7,7 +7,7 @@ the filtered one when it leaves the band.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -24,6 +24,10 @@ KMH = 3.6  # km/h per m/s
 _BAND_PX, _BAND_FRACTION = 2.0, 0.05
 _OUTSIDE = 0.05  # of the image beyond its border, up to which a point counts
 _JUMP_M, _JUMP_MPS = 1.5, 40.0  # way between two frames that no road user makes
+_FASTER = 1.5  # than its speed; a way that no road user of this speed makes
+_AWAY_S = 1.0  # time without a row, in which another track may have counted the object
+# how far from where it would be a road user is at most, as a length and as a fraction of its way
+_NEAR_M, _NEAR_FRACTION = 2.5, 0.25
 _FORGET_S = 5.0  # time after which a track without a box is forgotten
 
 # (N, 2) points that count of the tracks of a frame, in px of the video
@@ -85,6 +89,7 @@ class LineCounter:
         self.n_unsure = dict.fromkeys((place.name for place in places), 0)
         self._anchors = anchors or lower_middles
         self._tracks: dict[tuple[int, int], _Track] = {}
+        self._before_s = math.nan  # time of the last frame
 
     @classmethod
     def of(
@@ -103,18 +108,26 @@ class LineCounter:
         """The crossings that this frame completes."""
         completed: list[Crossing] = []
         tracks = result.tracks
+        before_s, self._before_s = self._before_s, result.time_s
         if not self.places or not len(tracks):
             return ()
         at_px = self._anchors(result)
         height_px = tracks.xyxy_px[:, 3] - tracks.xyxy_px[:, 1]
         band_px = np.maximum(_BAND_PX, _BAND_FRACTION * height_px)
+        seen = set(tracks.track_id[tracks.observed].tolist())
         for number, place in enumerate(self.places):
             inside_px = place.inside_px(at_px)
             for row, track_id in enumerate(tracks.track_id.tolist()):
                 now = self._now(result, row, at_px[row])
                 if now.class_name in STATIC_CLASSES or math.isnan(inside_px[row]):
                     continue
-                track = self._tracks.setdefault((track_id, number), _Track())
+                track = self._tracks.get((track_id, number))
+                if track and track.last and _is_other(track.last, now, before_s):
+                    track.has_met |= track.inside_px * float(inside_px[row]) < 0
+                    self._end(track, place)
+                    track = None
+                track = track or self._continued(now, number, seen)
+                self._tracks[track_id, number] = track
                 _move(track, place, now, float(inside_px[row]))
                 completed += _completed(track, place, now, float(band_px[row]))
         self._forget(result.time_s)
@@ -128,6 +141,16 @@ class LineCounter:
         self._forget(math.inf)
         self.crossings = tuple(sorted(self.crossings, key=lambda one: (one.time_s, one.track_id)))
         return self.crossings
+
+    def _continued(self, now: Crossing, number: int, seen: Set[int]) -> _Track:
+        """The track that is no longer seen and whose way leads to here, which goes on under another
+        number, else a new one.
+        """
+        for (track_id, place), track in self._tracks.items():
+            is_gone = place == number and track_id not in seen and track_id != now.track_id
+            if is_gone and track.last is not None and _leads(track.last, now):
+                return self._tracks.pop((track_id, place))
+        return _Track()
 
     @staticmethod
     def _now(result: FrameResult, row: int, at_px: FloatArray) -> Crossing:
@@ -163,15 +186,18 @@ class LineCounter:
         for (track_id, number), track in list(self._tracks.items()):
             if time_s - track.time_s <= _FORGET_S:
                 continue
-            place = self.places[number]
-            # met the line, or began on it, and went on under another number, or out of the image
-            if track.side == 0 or (track.has_met and not place.is_zone):
-                self.n_unsure[place.name] += 1
-            if place.is_zone and track.side > 0 and track.last is not None:
-                gone = _exit(track, place, track.last, track.time_s)
-                unknown = replace(gone, speed_kmh=math.nan, speed_sigma_kmh=math.nan)
-                self.crossings += (unknown,)
+            self._end(track, self.places[number])
             del self._tracks[track_id, number]
+
+    def _end(self, track: _Track, place: Place) -> None:
+        """End a track that is gone, or shows another object from now on."""
+        # met the line, or began on it, and went on under another number, or out of the image
+        if track.side == 0 or (track.has_met and not place.is_zone):
+            self.n_unsure[place.name] += 1
+        if place.is_zone and track.side > 0 and track.last is not None:
+            gone = _exit(track, place, track.last, track.time_s)
+            unknown = replace(gone, speed_kmh=math.nan, speed_sigma_kmh=math.nan)
+            self.crossings += (unknown,)
 
 
 def anchors_of(plane: RoadPlane | None, recorded: Callable[[FloatArray], FloatArray]) -> Anchors:
@@ -204,11 +230,6 @@ def lower_middles(result: FrameResult) -> FloatArray:
 def _move(track: _Track, place: Place, now: Crossing, inside_px: float) -> None:
     """Move a track to its place in a frame."""
     at_px = np.array([now.x_px, now.y_px])
-    if track.last is not None:
-        moved_m = math.hypot(now.x_m - track.last.x_m, now.y_m - track.last.y_m)
-        if moved_m > _JUMP_M + _JUMP_MPS * (now.time_s - track.time_s):
-            # another object by a change of identities, which has crossed nothing
-            track.side, track.inside_px, track.has_met = 0, math.nan, False
     if track.inside_px * inside_px < 0 or (inside_px == 0 and track.inside_px != 0):
         share = track.inside_px / (track.inside_px - inside_px)
         track.met_s = track.time_s + share * (now.time_s - track.time_s)
@@ -219,6 +240,29 @@ def _move(track: _Track, place: Place, now: Crossing, inside_px: float) -> None:
         track.inside_px = inside_px
     if place.is_zone and track.side > 0 and math.isfinite(now.speed_kmh):
         track.speeds_kmh.append(now.speed_kmh)
+
+
+def _is_other(last: Crossing, now: Crossing, before_s: float) -> bool:
+    """Whether a track may show another object by a change of identities, which has crossed nothing:
+    it moved as no road user does, its speed began again elsewhere, or it came back elsewhere after
+    a time without a row in the last frame, at `before_s`.
+    """
+    step_s = now.time_s - last.time_s
+    is_away = step_s > _AWAY_S and last.time_s < before_s
+    began_again = math.isfinite(last.speed_kmh) and math.isnan(now.speed_kmh)
+    own_mps = _FASTER * last.speed_kmh / KMH if began_again else _JUMP_MPS
+    moved_m = math.hypot(now.x_m - last.x_m, now.y_m - last.y_m)
+    return moved_m > _JUMP_M + (0.0 if is_away else own_mps * step_s)
+
+
+def _leads(last: Crossing, now: Crossing) -> bool:
+    """Whether a road user that went on at its speed is here now."""
+    step_s = now.time_s - last.time_s
+    moved_m = last.speed_kmh / KMH * step_s
+    heading_rad = math.radians(last.heading_deg) if moved_m > 0 else 0.0
+    x_m = now.x_m - last.x_m - moved_m * math.cos(heading_rad)
+    y_m = now.y_m - last.y_m - moved_m * math.sin(heading_rad)
+    return step_s <= _AWAY_S and math.hypot(x_m, y_m) < _NEAR_M + _NEAR_FRACTION * moved_m
 
 
 def _completed(track: _Track, place: Place, now: Crossing, band_px: float) -> list[Crossing]:

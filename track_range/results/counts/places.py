@@ -59,6 +59,19 @@ class Place:
         return "down" if across[1] > 0 else "up"
 
 
+def check_inside(places: Sequence[Place], size_px: tuple[int, int]) -> None:
+    """ValueError for lines and zones outside of a video of this size, which would count nothing or
+    elsewhere.
+    """
+    for place in places:
+        if ((place.xy_px < -1) | (place.xy_px > size_px)).any():
+            width, height = size_px
+            raise ValueError(
+                f"line or zone {place.name}: expected pixels inside the video of {width}x{height} px, "
+                "found others"
+            )
+
+
 def parsed_places(lines: Sequence[str], zones: Sequence[str]) -> tuple[Place, ...]:
     """Lines and zones of the options --count-line and --zone; ValueError for other texts."""
     places = [_line(text) for text in lines] + [_zone(text) for text in zones]

@@ -76,6 +76,11 @@ class Contradiction(NamedTuple):
 
 _CONTRADICTIONS = (
     Contradiction(
+        ("ego_speed", "static_camera"),
+        lambda run: run.static_camera and run.ego_speed not in ("auto", "off"),
+        "--ego-speed is for a camera that drives; omit it, or --static-camera",
+    ),
+    Contradiction(
         ("stereo", "mono"),
         lambda run: (run.stereo is None) == (run.mono is None),
         "give either --stereo LEFT RIGHT or --mono VIDEO",

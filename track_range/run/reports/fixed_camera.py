@@ -15,8 +15,9 @@ from track_range.results.rows.rows import Rows, most_frequent
 from track_range.results.table import RunRows
 from track_range.run.reports.report import Reports
 
-# a camera that stands: its speed in nearly all frames, and the shortest recording that shows it
-_STANDS_MPS, _STANDS_FRACTION, _STANDS_S = 0.15, 0.97, 5.0
+# a camera that stands: its speed in nearly all frames in which it is known, which are most, and the
+# shortest recording that shows it
+_STANDS_MPS, _STANDS_FRACTION, _KNOWN_FRACTION, _STANDS_S = 0.15, 0.97, 0.8, 5.0
 
 
 @dataclass(slots=True)
@@ -64,8 +65,9 @@ class FixedCamera(Reports):
 
     def _stands(self) -> bool:
         speeds = np.abs(np.array(self.rows.ego_mps, np.float64))
-        is_long = self.rows.seconds >= _STANDS_S
-        return bool(is_long and (speeds < _STANDS_MPS).mean() >= _STANDS_FRACTION)
+        known = speeds[np.isfinite(speeds)]  # of the first frames, none is
+        is_long = self.rows.seconds >= _STANDS_S and len(known) > _KNOWN_FRACTION * len(speeds)
+        return bool(is_long and (known < _STANDS_MPS).mean() >= _STANDS_FRACTION)
 
 
 def _road_users(rows: Rows) -> Iterator[dict[str, Any]]:

@@ -15,19 +15,31 @@ ZONE = "yard=0,0,100,0,100,100,0,100"
 STEP_S = 0.1
 
 
-def crossings(path_px, *, lines=(), zones=(), height_px=20.0):
-    """The counter after a path of one track, whose lower middles are given; NaN = no box."""
+def crossings(path_px, *, lines=(), zones=(), height_px=20.0, rows=(), ids=(), step_s=STEP_S):
+    """The counter after a path of one road user, whose lower middles are given; None = no box. `rows`
+    are its x_m and speeds in m/s, towards the camera; `ids` its numbers.
+    """
     counter = LineCounter.of(lines, zones)
-    for number, (x, y) in enumerate(path_px):
+    for number, point in enumerate(path_px):
         first = result(number)
+        x, y = point or (0.0, 0.0)
         box = np.array([[x - 5.0, y - height_px, x + 5.0, y]])
         tracks = replace(first.tracks.select(np.array([0])), xyxy_px=box)
-        rows = {name: getattr(first.world.motion, name)[:1] for name in ("speed_mps",)}
+        if ids:
+            tracks = replace(tracks, track_id=np.array([ids[number]]))
         motion = type(first.world.motion).unknown(1)
-        motion = replace(motion, **rows)
-        frame = replace(first.frame, time_s=STEP_S * number)
+        x_m, speed_mps = rows[number] if rows else (np.nan, float(first.world.motion.speed_mps[0]))
+        place = {"world_x_m": np.array([x_m]), "world_y_m": np.zeros(1)}
+        place["heading_deg"] = np.full(1, 180.0)
+        motion = replace(motion, speed_mps=np.array([speed_mps]), **place)
+        frame = replace(first.frame, time_s=step_s * number)
         world = replace(first.world, motion=motion)
-        counter.update(replace(first, frame=frame, tracks=tracks, world=world))
+        seen = replace(first, frame=frame, tracks=tracks, world=world)
+        if point is None:
+            motion = type(motion).unknown(0)
+            none = replace(first.world, motion=motion)
+            seen = replace(seen, tracks=tracks.select(np.array([], int)), world=none)
+        counter.update(seen)
     counter.finish()
     return counter
 
@@ -59,6 +71,45 @@ def test_a_track_that_ends_on_the_line_is_not_sure():
     counter = crossings([(50, 80), (50, 99.5), (50, 100.5)], lines=[LINE])
     assert counter.crossings == ()
     assert counter.n_unsure == {"gate": 1}
+
+
+@pytest.mark.parametrize(
+    ("path_px", "rows"),
+    [
+        ([(50, 80), (50, 90), (50, 110)], [(40.0, 7.0), (39.3, 7.0), (33.0, np.nan)]),
+        ([(50, 80), (50, 90), (50, 110)], [(40.0, 7.0), (39.3, 7.0), (20.0, 7.0)]),
+        ([(50, 90), *[None] * 15, (50, 110)], [(40.0, 20.0)] * 16 + [(20.0, 20.0)]),
+    ],
+)
+def test_a_track_that_shows_another_object_counts_nothing_and_is_not_sure(path_px, rows):
+    counter = crossings(path_px, lines=[LINE], rows=rows)
+    assert counter.crossings == ()
+    assert counter.n_unsure["gate"] >= 1
+
+
+def test_a_speed_that_begins_again_at_the_same_place_is_the_same_object():
+    rows = [(40.0, 15.0), (38.5, 15.0), (37.0, np.nan), (35.5, np.nan)]
+    counter = crossings([(50, 80), (50, 98), (50, 102), (50, 120)], lines=[LINE], rows=rows)
+    assert len(counter.crossings) == 1
+
+
+def test_a_road_user_that_goes_on_under_another_number_counts_once():
+    path_px = [(50, 60), (50, 80), None, None, (50, 110), (50, 120)]
+    rows = [(40.0 - n, 10.0) for n in range(6)]
+    ids = [1, 1, 1, 1, 2, 2]
+    counter = crossings(path_px, lines=[LINE], rows=rows, ids=ids)
+    (one,) = counter.crossings
+    assert (one.track_id, one.direction) == (2, "down")
+    assert one.time_s == pytest.approx(0.3)  # two thirds of the way from 80 to 110
+    assert counter.n_unsure["gate"] == 0
+    far = [*rows[:4], (10.0, 10.0), (9.0, 10.0)]
+    assert crossings(path_px, lines=[LINE], rows=far, ids=ids).crossings == ()
+
+
+def test_frames_that_are_far_apart_in_time_count():
+    path_px, rows = [(50, 80), (50, 120)], [(40.0, 10.0), (20.0, 10.0)]
+    counter = crossings(path_px, lines=[LINE], rows=rows, step_s=2.0)
+    assert len(counter.crossings) == 1
 
 
 def test_zone_entry_exit_and_stay():
