@@ -136,6 +136,7 @@ MOST_STATEMENTS = {
     # lane lines between the boxes (1), and the mounting that a recording shows (46)
     # what never moves in a recording, before its run (18)
     # the plane of the road from points, lengths and lines, with its picture (118)
+    # dark images, which show no motion (2)
     "calibration": 1_569,
     # notes on packages (5); a command with sub-commands (50)
     # recordings before which an option is missing, also of a command with sub-commands (11)
@@ -222,6 +223,7 @@ MOST_STATEMENTS = {
     # depth tracks by their names, counters behind dates, offsets of unequal rates (7)
     # fields of view and models of lenses that the user knows (75), and files that count for a folder (15)
     # pixel formats of cameras as one table, also for bags (60), and times in nanoseconds (45)
+    # values of more bits than a pixel format has (4)
     "recording": 8_215,
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)
@@ -237,6 +239,7 @@ MOST_STATEMENTS = {
     # supported minima, by one definition for tables, events and fleets (55)
     # what started a warning (10)
     # lines and zones that count and measure, their files and figures (265)
+    # decelerations of zero, which are no reason (1)
     "results": 3_359,
     # imports of one file for each idea of the settings (45); the parts of a run report, each in a class
     # of its own with what it imports (205); the options of its recording (15); notes on packages
@@ -262,6 +265,7 @@ MOST_STATEMENTS = {
     # images that are unlike those on which detection was measured, and what is said of them (68)
     # options, plane and reports of a camera that stands still (134)
     # earlier scenarios are checked before one is removed (1)
+    # the visibility of the latest frames, among the health of pipelines (6)
     "run": 2_999,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that
     # look to any side from any place of the vehicle (24)
@@ -277,6 +281,7 @@ MOST_STATEMENTS = {
     # moments of a video, and the time of a run without tracks (6)
     # counts and speeds on the overlay, in the report and printed (157)
     # names of fixed cameras (4)
+    # a warned contact without a supported time, and distances of unknown scale (8)
     "views": 2_920,
     "track_range": 108,  # a module of errors and one of evaluations, each with its names for type checkers (18)
 }
