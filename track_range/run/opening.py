@@ -126,9 +126,7 @@ def open_run(
             needs_candidates=settings.anonymize,
             background=beside_steps() if is_live else None,
         )
-        check, rig = pipeline.doubting.check, calibration.rig
-        if check is not None and rig is not None and rig.is_assumed:
-            check.use(_known_distances(settings))
+        _use_known_distances(settings, pipeline, calibration.rig)
         on_error.pop_all()
     return OpenedRun(
         settings=settings,
@@ -140,6 +138,15 @@ def open_run(
         pipeline=pipeline,
         opening_s=opening_s,
     )
+
+
+def _use_known_distances(
+    settings: RunSettings, pipeline: FramePipeline, rig: StereoRig | None
+) -> None:
+    """The known distances as evidence of the posterior of a pair without a calibration."""
+    check = pipeline.doubting.check
+    if check is not None and rig is not None and rig.is_assumed:
+        check.use(_known_distances(settings))
 
 
 def _check_places(settings: RunSettings, recording: Recording) -> None:
