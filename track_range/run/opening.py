@@ -18,7 +18,6 @@ from track_range.calibration.drive.shown_mounting import with_mounting
 from track_range.detection.detector import ObjectDetector
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.background import beside_steps
-from track_range.foundation.errors import UsageError
 from track_range.foundation.progress import StepProgress
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.ranging.cameras.known_distances import KnownDistance, KnownDistances
@@ -93,7 +92,8 @@ def open_run(
     opening_s = time.perf_counter() - start_s - (alignment.estimation_s if alignment else 0.0)
     with ExitStack() as on_error:
         on_error.callback(recording.close)
-        _check_places(settings, recording)
+        places = parsed_places(settings.count_line, settings.zone)
+        check_inside(places, recording.calibration.rectifier.recorded_size_px)
         report(LOADING)
         box_source = _box_source(settings, recording, detector, open_detector, console, boxes)
         again = partial(open_input, settings, rig=rig)
@@ -147,15 +147,6 @@ def _use_known_distances(
     check = pipeline.doubting.check
     if check is not None and rig is not None and rig.is_assumed:
         check.use(_known_distances(settings))
-
-
-def _check_places(settings: RunSettings, recording: Recording) -> None:
-    """UsageError for lines and zones outside of the video."""
-    places = parsed_places(settings.count_line, settings.zone)
-    try:
-        check_inside(places, recording.calibration.rectifier.recorded_size_px)
-    except ValueError as error:
-        raise UsageError(f"{error}.") from error
 
 
 def _truth(settings: RunSettings, recording: Recording) -> Truth | None:

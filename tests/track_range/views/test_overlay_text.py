@@ -29,6 +29,8 @@ def words(shown: FrameResult, row: int = 0) -> list[list[str]]:
 def test_texts_in_the_corners() -> None:
     clock, legend = corner_lines(result([BOX]), 11)
     assert [span.text for span in clock[0]] == ["frame 7", "0.72 s"]
+    _, fixed = corner_lines(result([BOX]), 11, large="speed over ground, else fused")
+    assert fixed[0][0].text.startswith("large: speed over ground, else fused ±1 sigma")
     more, _ = corner_lines(
         result([BOX]), 11, status=("9.8 fps", "85 ms behind"), warning="uncalibrated"
     )

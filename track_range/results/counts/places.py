@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import quoted
 
 
@@ -60,15 +61,15 @@ class Place:
 
 
 def check_inside(places: Sequence[Place], size_px: tuple[int, int]) -> None:
-    """ValueError for lines and zones outside of a video of this size, which would count nothing or
+    """UsageError for lines and zones outside of a video of this size, which would count nothing or
     elsewhere.
     """
     for place in places:
         if ((place.xy_px < -1) | (place.xy_px > size_px)).any():
             width, height = size_px
-            raise ValueError(
+            raise UsageError(
                 f"line or zone {place.name}: expected pixels inside the video of {width}x{height} px, "
-                "found others"
+                "found others."
             )
 
 

@@ -161,7 +161,10 @@ class Overlay:
         """Draw the texts of the corners that have room; (1 to 3, 4) rectangles of texts and inset,
         in pixels.
         """
-        corners = labels.corner_lines(result, size_px, status=self._status(), warning=self._warning)
+        large = "fused" if self._counted is None else "speed over ground, else fused"
+        corners = labels.corner_lines(
+            result, size_px, status=self._status(), warning=self._warning, large=large
+        )
         (w, h), (legend_w, legend_h) = self._text.sizes_px(corners).tolist()
         height, width = canvas.shape[:2]
         places = np.array([[0, 0, w, h], [width - legend_w, 0, width, legend_h]])

@@ -193,10 +193,15 @@ def closing_span(
 
 
 def corner_lines(
-    result: FrameResult, size_px: int, *, status: Sequence[str] = (), warning: str = ""
+    result: FrameResult,
+    size_px: int,
+    *,
+    status: Sequence[str] = (),
+    warning: str = "",
+    large: str = "fused",
 ) -> tuple[Lines, Lines]:
     """Texts of the upper left corner (frame number, time, status, warning) and of the upper right
-    corner (legend).
+    corner (legend); `large` is what the large numbers of the labels are.
     """
     clock = [Span(f"frame {result.frame.index}", size_px, BOLD, WHITE)]
     clock += [
@@ -210,7 +215,7 @@ def corner_lines(
         method for method in methods() if method.measures_distance and method.name in result.ranges
     ]
     letters = [f"{method.letter} {method.title}" for method in shown]
-    legend = "   ".join(["large: fused ±1 sigma", *letters, "dashed: predicted"])
+    legend = "   ".join([f"large: {large} ±1 sigma", *letters, "dashed: predicted"])
     return [clock], [[Span(legend, size_px, REGULAR, GREY)]]
 
 
