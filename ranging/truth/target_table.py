@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from track_range.detection.formats.tables.errors import LabelFileError
 from track_range.foundation.arrays import FloatArray, IntArray
@@ -91,6 +92,10 @@ def read_targets(
     texts = np.array(table.texts(name), np.str_)
     order = np.lexsort((table.finite(clock), texts))
     names, target = np.unique(texts[order], return_inverse=True)
+    time, target = table.finite(clock)[order], target.reshape(-1)
+    _check_rows(path, texts[order], time)
+    if clock == "frame" and offset_s:
+        raise LabelFileError(f"{path}: --truth-offset-s is for times; its rows have frame numbers.")
     if any(column in table for column in _RELATIVE):
         values = _relative(table)
     elif poses is None:
@@ -105,11 +110,23 @@ def read_targets(
         path=path,
         clock=clock,
         names=tuple(map(str, names)),
-        target=target.reshape(-1),
-        time=table.finite(clock)[order],
+        target=target,
+        time=time,
         values=values[:, order],
         offset_s=0.0 if clock == "frame" else offset_s,
     )
+
+
+def _check_rows(path: Path, names: npt.NDArray[np.str_], time: FloatArray) -> None:
+    """LabelFileError without rows, and for a target in two places at once (rows by target and time)."""
+    if not len(time):
+        raise LabelFileError(f"{path}: expected a row per target and moment, found none.")
+    is_repeated = (names[1:] == names[:-1]) & (np.diff(time) == 0)
+    for row in np.flatnonzero(is_repeated)[:1].tolist():
+        raise LabelFileError(
+            f"{path}: expected each target once per moment, found {names[row]} twice at "
+            f"{time[row]:g}; give each object its own name."
+        )
 
 
 def _relative(table: CsvTable) -> FloatArray:

@@ -204,3 +204,18 @@ def test_long_runs_show_the_offset_by_some_of_their_rows(
     matches, names = matched_names(targets, rows(ALL))
     assert set(names.values()) == set(PATHS)
     assert matches.offset_s == pytest.approx(0.73, abs=0.15)
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("time_s,target,range_m\n", "none"),
+        ("time_s,target,range_m\n0.1,a,20\n0.2,a,21\n0.1,a,40\n", "a twice at 0.1"),
+        ("frame,target,range_m\n1,a,20\n2,a,21\n", "--truth-offset-s"),
+    ],
+)
+def test_tables_that_are_no_truth(tmp_path: Path, text: str, word: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    with pytest.raises(LabelFileError, match=word):
+        read_targets(path, offset_s=0.5)

@@ -19,8 +19,8 @@ from xml.etree import ElementTree
 
 from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.files.input_files import quoted
-from track_range.foundation.files.output_files import write_text
-from track_range.foundation.files.structured_text import read_yaml
+from track_range.foundation.files.output_files import OutputError, write_text
+from track_range.foundation.files.structured_text import read_json, read_yaml
 from track_range.foundation.schemas.options import Options, option
 from track_range.results.folder import read_run_folder
 
@@ -36,6 +36,7 @@ _COMPARE: Mapping[str, Callable[[Any, Any], bool]] = {
     "!=": operator.ne,
 }
 _WORDS: Mapping[str, Any] = {"true": True, "false": False}
+_NO_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _EXAMPLE = "such as 'fused.median_relative_error_pct < 5'"
 _N_NEAR = 4  # names that an error suggests
 
@@ -95,6 +96,7 @@ def check(settings: CheckSettings) -> dict[str, Any]:
         for folder in _runs(settings.folders)
         for text, row in _checked(folder, texts, settings.min_coverage)
     ]
+    rows += [row for folder in settings.folders for row in _without_results(folder)]
     figures = {"holds": all(row["holds"] for row in rows), "limits": rows}
     if settings.junit is not None:
         write_text(settings.junit, _junit(rows))
@@ -116,6 +118,18 @@ def _runs(folders: Sequence[Path]) -> Iterator[Path]:
     for folder in folders:
         clips = sorted((folder / "runs").glob("clip=*"))
         yield from clips or [folder]
+
+
+def _without_results(folder: Path) -> Iterator[dict[str, Any]]:
+    """A broken limit for a fleet in which clips failed or are left, which have no figures."""
+    file = folder / "fleet.json"
+    state = read_json(file, OutputError, "the state of a fleet") if file.exists() else None
+    total = state.get("total") if isinstance(state, dict) else None
+    n_clips = len(list((folder / "runs").glob("clip=*")))
+    if isinstance(total, int) and n_clips < total:
+        sentence = f"{n_clips} of {total} clips have results"
+        limit = {"run": str(folder), "limit": "results of all clips", "value": n_clips}
+        yield {**limit, "holds": False, "sentence": sentence}
 
 
 def _checked(
@@ -201,5 +215,8 @@ def _junit(rows: Sequence[Mapping[str, Any]]) -> str:
             )
             if not row["holds"]:
                 ElementTree.SubElement(case, "failure", {"message": row["sentence"]})
+    for element in root.iter():
+        for key, text in element.items():
+            element.set(key, _NO_XML.sub("?", text))
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"

@@ -119,3 +119,24 @@ def test_clips_of_a_fleet(run: Path, tmp_path: Path) -> None:
     figures = tr.check([tmp_path / "fleet", run], require=["fused.n == 6"])
     assert [Path(row["run"]).name for row in figures["limits"]] == ["clip=a", "clip=b", "run"]
     assert figures["holds"]
+    (tmp_path / "fleet" / "fleet.json").write_text('{"total": 3, "failed": 1}')
+    figures = tr.check(tmp_path / "fleet", require=["fused.n == 6"])
+    assert not figures["holds"]
+    assert figures["limits"][-1]["sentence"] == "2 of 3 clips have results"
+
+
+def test_names_that_xml_does_not_have(run: Path, tmp_path: Path) -> None:
+    folder, junit = run.rename(tmp_path / "a <&\x01\udcff ü"), tmp_path / "check.xml"
+    tr.check(folder, require=["fused.n == 6"], junit=junit)
+    (suite,) = ElementTree.parse(junit).getroot()  # noqa: S314 - our own file
+    assert str(suite.get("name")).endswith("a <&?? ü")
+
+
+@pytest.mark.parametrize("flag", ["--json", "--junit"])
+def test_figures_of_the_run_are_not_replaced(run: Path, flag: str, cli: Callable[..., Any]) -> None:
+    before = (run / "summary.json").read_text()
+    limit = ("--require", "fused.n == 6")
+    assert cli("check", run, *limit, flag, run / "summary.json")[0] == 1
+    assert (run / "summary.json").read_text() == before
+    own = run / {"--json": "check.json", "--junit": "check.xml"}[flag]
+    assert [cli("check", run, *limit, flag, own)[0] for _ in range(2)] == [0, 0]

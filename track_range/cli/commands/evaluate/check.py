@@ -2,7 +2,7 @@
 
 import typer
 
-from track_range.cli.commands.evaluate.result_files import JsonField
+from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files
 from track_range.cli.shared.console import console, print_line
 from track_range.cli.shared.parameters import command
 from track_range.evaluation.limits import CheckSettings, check
@@ -16,6 +16,7 @@ class CheckOptions(CheckSettings):
 
 
 def _check(options: CheckOptions) -> None:
+    check_result_files(options)
     figures = check(options)
     for row in figures["limits"]:
         state = "holds " if row["holds"] else "BROKEN"

@@ -19,11 +19,19 @@ RiskFigureField = Annotated[
     option("SVG or PNG file for the chart of the risk-coverage curves.", metavar="FILE.svg"),
 ]
 
-_OUTPUTS = {"json_file": "--json", "table": "--table", "figure": "--figure", "out": "--out"}
+_OUTPUTS = {
+    "json_file": "--json",
+    "table": "--table",
+    "figure": "--figure",
+    "out": "--out",
+    "junit": "--junit",
+}
 """Options that name files to write, by field."""
 
 # options that name inputs, by field, if the name of the field differs
-_INPUT_FLAGS = {"models": "--model"}
+_INPUT_FLAGS = {"models": "--model", "folder": "DIR", "folders": "DIR"}
+
+_RESULTS = ("summary.json", "evaluation.json")  # of a run, which is an input
 
 CHART_SUFFIXES = (".svg", ".png")  # accepted endings of a chart's file name
 
@@ -60,8 +68,10 @@ def _check_is_no_input(flag: str, file: Path, options: Any) -> None:
         # an existing file in the folder of an option may be one of the inputs, and not an earlier
         # result
         is_input = (
-            file.suffix != ".json"
+            file.suffix != ".json" or file.name in _RESULTS
             if flag == "--json"
+            else file.suffix != ".xml"
+            if flag == "--junit"
             else name == "images" and file.suffix.lower() == ".png"
         )
         for path in _paths(value) if name not in _OUTPUTS else ():
