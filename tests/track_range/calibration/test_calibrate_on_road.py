@@ -213,7 +213,7 @@ def test_run_without_a_calibration(tmp_path, cli, small_drive):
         "run", "--mono", video, "--detections", small_drive.detections, "--out", out, "--no-overlay"
     )
     assert status == 0, complaint
-    assert "Give --focal-px to replace it" in printed
+    assert "Give --focal-px" in printed
     summary = json.loads((out / "summary.json").read_text())
     assert summary["calibration"] == "estimated"
     assert summary["camera_estimate"]["focal_px"] == pytest.approx(summary["focal_px"], abs=0.01)
