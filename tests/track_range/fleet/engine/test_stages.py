@@ -247,7 +247,7 @@ def test_clips_that_are_made_later_are_named_in_tables_of_earlier_files(out, cli
 
 def test_counts_are_kept(clip, tmp_path):
     left = replace(clip, right=None)
-    plan = plan_of(tmp_path / "out", static_camera=True, count_line=("gate=100,300,800,300",))
+    plan = plan_of(tmp_path / "out", static_camera=True, count_line=("gate=50,120,560,120",))
     processed(plan, left)
     assert runs_location(plan.out, "a").child("crossings.csv").exists()
     assert todo_of(plan, left) == 1
