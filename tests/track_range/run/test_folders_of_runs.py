@@ -65,6 +65,17 @@ def test_results_of_the_same_recording_are_replaced_and_this_is_said(folders, cl
     assert json.loads(Path("results/summary.json").read_text())["settings_hash"] == hash_before
 
 
+def test_a_pair_replaces_the_results_of_its_left_recording(folders):
+    write("front/clip")
+    options = {**RUN, "align": "off"}
+    with tr.Run.stereo("front/clip", "rear/clip", out="results", **options) as run:
+        assert run.replaces_results
+        for _ in run:
+            pass
+    with pytest.raises(OutputError, match="front/clip"):
+        write("rear/clip")
+
+
 def test_a_file_is_no_folder(folders, cli):
     finished = cli("--mono", "front/clip", "--focal-px", "100", "--out", "boxes.txt")
     assert "expected a folder for the results, found a file" in finished.stderr

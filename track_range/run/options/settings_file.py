@@ -87,10 +87,11 @@ def check_replaceable(settings: RunSettings, folder: Path) -> None:
     present = absolute_settings(settings)
     if earlier.get("anonymize") or settings.anonymize:
         earlier, present = without_folders(earlier), without_folders(present)
-    before, now = (run.get("stereo") or run.get("mono") for run in (earlier, present))
+    # a pair with the left recording of an earlier run is of the same drive
+    before, now = ((run.get("stereo") or [run.get("mono")])[0] for run in (earlier, present))
     if settings.overwrite or before is None or before == now:
         return
-    name = ", ".join(before) if isinstance(before, list) else before
+    name = ", ".join(map(str, before)) if isinstance(before, list) else before
     raise OutputError(
         f"{folder}: expected no results, or those of this recording, found those of {name}; give "
         "another folder (--out), or replace them (--overwrite)."
