@@ -25,7 +25,7 @@ from track_range.foundation.schemas.options import Options, option
 from track_range.results.folder import read_run_folder
 
 _LIMIT = re.compile(
-    r"\s*(abs\(\s*)?([A-Za-z_][\w.-]*)\s*(\))?\s*(<=|>=|==|!=|<|>)\s*([^\s<>=!].*?)\s*"
+    r"(abs\(\s*+)?([A-Za-z_][\w.-]*+)\s*+(\)\s*+)?(<=|>=|==|!=|<|>)\s*+([^\s<>=!].*)"
 )
 _COMPARE: Mapping[str, Callable[[Any, Any], bool]] = {
     "<": operator.lt,
@@ -138,7 +138,7 @@ def _checked(
     """Each limit with its `value`, whether it `holds`, and a `sentence`."""
     summary = read_run_folder(folder, has_events=False).summary
     for text in texts:
-        match = _LIMIT.fullmatch(text)
+        match = _LIMIT.fullmatch(text.strip())
         if match is None or bool(match[1]) != bool(match[3]):
             raise UsageError(f"--require {quoted(text)}: expected a limit {_EXAMPLE}.")
         absolute, name, _, sign, word = match.groups()

@@ -56,7 +56,7 @@ class LensField:
     def of(cls, text: str) -> Self:
         """The field of view of an option: degrees with d, h or v. Raises UsageError."""
         match = re.fullmatch(
-            r"(\d{1,3}(?:\.\d{1,4})?)\s*(?:°|deg)?\s*([dhv])", text.strip().lower()
+            r"(\d{1,3}(?:\.\d{1,4})?)\s*+(?:°|deg)?+\s*+([dhv])", text.strip().lower()
         )
         if match is None or not _LIMITS_DEG[0] <= float(match[1]) <= _LIMITS_DEG[1]:
             raise UsageError(
@@ -64,7 +64,7 @@ class LensField:
                 f"{_LIMITS_DEG[1]:.0f} degrees with the side that they are across: 140d diagonal "
                 "(as on most boxes of dashcams), 120h horizontal, 70v vertical."
             )
-        side: Side = "d" if match[2] == "d" else "h" if match[2] == "h" else "v"
+        side = next(side for side in _SIDES if side == match[2])
         return cls(float(match[1]), side)
 
     def guess(self, size_px: tuple[int, int]) -> FocalGuess:

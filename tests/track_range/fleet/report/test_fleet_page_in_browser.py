@@ -37,7 +37,7 @@ def test_page_is_drawn_without_network(browser, address, width, scheme):
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     colour = page.evaluate("getComputedStyle(document.body).backgroundColor")
     assert (colour < "rgb(2") == (scheme == "dark")
-    page.get_by_role("button", name="at s").first.click()
+    page.get_by_role("button", name="time in the clip s").first.click()
     assert page.locator("#closest th[aria-sort=ascending]").count() == 1
     page.close()
     assert complaints == []
