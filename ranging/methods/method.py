@@ -12,6 +12,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -181,6 +182,8 @@ class MethodContext:
         has_dense_disparity: whether dense stereo runs.
         sgbm_options: parameters of dense stereo set by the user.
         runtime: threads and device for networks; None = the defaults.
+        depth_models: ONNX files of depth networks, by the name of their method.
+        stereo_models: ONNX files of stereo networks, by the name of their method.
         rangers: created so far, by name; first those in `reads`.
     """
 
@@ -200,6 +203,8 @@ class MethodContext:
     has_dense_disparity: bool = False
     sgbm_options: Mapping[str, Any] = field(default_factory=dict)
     runtime: Runtime | None = None
+    depth_models: Mapping[str, Path] = field(default_factory=dict)
+    stereo_models: Mapping[str, Path] = field(default_factory=dict)
     rangers: Mapping[str, Ranger] = field(default_factory=dict)
 
     @property
@@ -263,6 +268,8 @@ class RangingMethod:
             sources.
         uses_road_plane: whether it measures with the known plane of the road before a camera that
             stands still.
+        fuses: False for a method that is only shown beside the others: its distances, and what it
+            shows of the scale of the drive, are not part of `fused`.
         is_filtered: whether it also has a filter over time (`NAME_kf_m`).
         details: names of further values of each track, in `Ranges.details`, perhaps with their
             meanings for the documentation; their columns are NAME_DETAIL.
@@ -279,6 +286,7 @@ class RangingMethod:
     fallback_for: str | None = None
     is_scale_reference: bool = False
     measures_distance: bool = True
+    fuses: bool = True
     is_filtered: bool = False
     uses_road_plane: bool = False
     details: Mapping[str, str] | tuple[str, ...] = field(default=(), hash=False)
@@ -305,7 +313,7 @@ class RangingMethod:
         ]
         columns = [re.fullmatch(r"[a-z][a-z0-9_]*(?<!_m)", name) for name in self.details]
         is_met = {
-            "expected a lower-case name for columns": re.fullmatch(r"[a-z][a-z0-9_]*", self.name),
+            "expected a lower-case name for columns": re.fullmatch(r"[a-z][a-z0-9_-]*", self.name),
             "expected a name that does not end with _kf or _sigma": not self.name.endswith(
                 ("_kf", "_sigma")
             ),
