@@ -11,7 +11,9 @@ from dataclasses import replace
 from types import MappingProxyType
 
 from track_range.foundation.errors import named_errors
-from track_range.foundation.registry import Registry
+from track_range.foundation.files.input_files import quoted
+from track_range.foundation.processes import search_current_folder
+from track_range.foundation.registry import Registry, imported
 from track_range.ranging.methods.method import MethodContext, MethodError, Ranger, RangingMethod
 
 
@@ -79,6 +81,36 @@ def register(method: RangingMethod) -> None:
     """
     _check(method, methods())
     METHODS.registered[method.name] = method
+
+
+def method_of(text: str) -> RangingMethod:
+    """The method with this name, or the `RangingMethod` that "package.module:OBJECT" names, which is
+    registered for the lifetime of the process.
+
+    The command line also searches for the module in the current folder, after the installed ones.
+    Raises MethodError: there is no such method, or it cannot be imported or registered.
+    """
+    if ":" not in text:
+        known = METHODS.usable
+        if text not in known:
+            raise MethodError(
+                f"unknown ranging method {quoted(text)}: expected {', '.join(known)}, or "
+                "package.module:OBJECT."
+            )
+        return known[text]
+    search_current_folder()
+    try:
+        method: object = imported(text)
+    except Exception as error:  # a module of another package may raise anything
+        raise MethodError(f"{text}: cannot be imported as a ranging method ({error}).") from error
+    if not isinstance(method, RangingMethod):
+        raise MethodError(f"{text}: expected a RangingMethod, found {type(method).__name__}.")
+    known = METHODS.usable.get(method.name)
+    is_installed = METHODS.origin(method.name).startswith(f"{text} ")
+    if known is not None and (is_installed or known == method):
+        return known
+    register(method)
+    return method
 
 
 def in_measuring_order(listed: Sequence[RangingMethod]) -> tuple[RangingMethod, ...]:

@@ -167,3 +167,36 @@ def test_entry_points(install, monkeypatch, tmp_path):
     notes = registry.METHODS.notes
     assert [note.split()[2] for note in notes] == ["absent", "other", "twice", "typo", "unknown"]
     assert all("\n" not in note for note in notes)
+
+
+def test_methods_by_name_and_by_object():
+    assert registry.method_of("stereo").letter == "S"
+    with registry.METHODS.restored():
+        found = registry.method_of("tests.ranging.test_registry:RADAR")
+        assert found.name == "radar"
+        assert registry.method_of("tests.ranging.test_registry:RADAR") is found
+        assert registry.method_of("radar") is found
+        assert names(registry.methods())[-1] == "radar"
+    with pytest.raises(MethodError, match=r"'radar': expected mono, .*package\.module:OBJECT"):
+        registry.method_of("radar")
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("tests.ranging.test_registry:CAMERA", "PinholeCamera"),
+        ("tests.ranging.test_registry:NOTHING", "NOTHING"),
+        ("no_such_module:METHOD", "no_such_module"),
+    ],
+)
+def test_objects_that_are_no_methods(text, word):
+    with pytest.raises(MethodError, match=f"{text}: .*{word}"):
+        registry.method_of(text)
+
+
+def test_another_method_with_the_name_of_a_known_one_is_refused():
+    with (
+        registered_method(replace(RADAR, title="other")),
+        pytest.raises(MethodError, match="radar"),
+    ):
+        registry.method_of("tests.ranging.test_registry:RADAR")
