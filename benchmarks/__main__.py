@@ -17,7 +17,7 @@ WORKLOADS = {
         "improvements of the monocular paper on the same training budget",
     ),
     "alignment": (
-        "accuracy.ranging.rig_alignment",
+        "accuracy.cameras.rig_alignment",
         "alignment from drives against known disparity errors",
     ),
     "anonymization": (
@@ -62,12 +62,12 @@ WORKLOADS = {
         "fusion while the right camera is black or noise",
     ),
     "ground_weight": (
-        "accuracy.ranging.ground_weight",
+        "accuracy.cameras.ground_weight",
         "what contact points add to sizes on KITTI's labels, by drive",
     ),
     "history": ("accuracy.tracking.history", "median label prediction by length, form and gates"),
     "horizon": (
-        "accuracy.ranging.horizon",
+        "accuracy.cameras.horizon",
         "ranging from box bottoms with and without a known camera height",
     ),
     "lanes": ("accuracy.detection.lanes", "lane detectors: time, accuracy, agreement"),
@@ -78,14 +78,14 @@ WORKLOADS = {
     "memory": ("speed.runs", "resident memory of a run of 2,000 frames"),
     "occlusion": ("accuracy.ranging.occlusion", "stereo matchers for road users behind obstacles"),
     "mountings": (
-        "accuracy.ranging.mountings",
+        "accuracy.cameras.mountings",
         "cameras that look aside and back, and given heights, on real roads",
     ),
     "mono_speed": (
-        "accuracy.ranging.mono_speed",
+        "accuracy.cameras.mono_speed",
         "ego speed of one camera, also without its height",
     ),
-    "odometry": ("accuracy.ranging.odometry", "speed and yaw rate of the camera from the images"),
+    "odometry": ("accuracy.cameras.odometry", "speed and yaw rate of the camera from the images"),
     "pipeline": ("speed.runs", "wall time of whole runs relative to inference alone"),
     "processor_time": (
         "speed.processor_time",
@@ -98,11 +98,11 @@ WORKLOADS = {
     ),
     "reference": ("reference", "results of every main command, recorded and compared"),
     "rig_health": (
-        "accuracy.ranging.rig_alignment",
+        "accuracy.cameras.rig_alignment",
         "true rig files and rig files with errors on the same drives",
     ),
     "self_calibration": (
-        "accuracy.ranging.self_calibration",
+        "accuracy.cameras.self_calibration",
         "cameras without a calibration: focal length, distortion, distances, time",
     ),
     "stages": (

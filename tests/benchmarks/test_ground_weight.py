@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.accuracy.ranging.ground_weight import STEP_S, _road_views
+from benchmarks.accuracy.cameras.ground_weight import STEP_S, _road_views
 
 
 @pytest.mark.parametrize("up_rad", [-0.03, 0.0, 0.02])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.accuracy.ranging.self_calibration import _summed, edge_error_px
+from benchmarks.accuracy.cameras.self_calibration import _summed, edge_error_px
 from benchmarks.inputs.camera_drives import CameraDrive
 from track_range.stereo.geometry.camera import PinholeCamera
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.accuracy.ranging.horizon import finished
+from benchmarks.accuracy.cameras.horizon import finished
 from benchmarks.harness import Figures, option, workload
 from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.inputs.road_sets import KITTI_HEIGHT_M, SETS, RoadSet, road_set

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import track_range as tr
-from benchmarks.accuracy.ranging.odometry import speed_faults
+from benchmarks.accuracy.cameras.odometry import speed_faults
 from benchmarks.harness import Figures, median_or_none, option, workload
 from benchmarks.inputs.camera_drives import FPS, CameraDrive
 from benchmarks.inputs.drives import CACHE_OPTION, REAL_DATA, StoredDetector, decoded

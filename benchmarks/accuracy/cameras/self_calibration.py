@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 
 import track_range as tr
-from benchmarks.accuracy.ranging.colmap import colmap_camera
-from benchmarks.accuracy.ranging.focal_boxes import BOX_OPTIONS, box_figures
-from benchmarks.accuracy.ranging.pre_pass_time import pre_pass_times
+from benchmarks.accuracy.cameras.colmap import colmap_camera
+from benchmarks.accuracy.cameras.focal_boxes import BOX_OPTIONS, box_figures
+from benchmarks.accuracy.cameras.pre_pass_time import pre_pass_times
 from benchmarks.accuracy.ranging.row_scores import RowScores, median, pooled
 from benchmarks.harness import Figures, StoredResults, option, workload
 from benchmarks.inputs.camera_drives import SECONDS, CameraDrive

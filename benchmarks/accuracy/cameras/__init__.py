@@ -1,0 +1,1 @@
+"""Cameras: calibration, focal length, horizon, mounting and motion."""
