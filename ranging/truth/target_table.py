@@ -71,8 +71,12 @@ class TargetTable:
 def is_target_table(header: Sequence[str]) -> bool:
     """Whether the columns of a CSV file are those of targets without boxes."""
     names = {name.strip().lower() for name in header}
+    if names & {"x1", "x1_px"}:
+        return False
+    if "target" in names:  # a wrong name of a distance is said by the reader
+        return not names.isdisjoint((*_CLOCKS, *_RELATIVE, *_MAP))
     has_place = bool(names & set(_RELATIVE)) or set(_MAP) <= names
-    return has_place and bool(names & {"target", "id"}) and not names & {"x1", "x1_px"}
+    return has_place and "id" in names
 
 
 def read_targets(
@@ -94,9 +98,12 @@ def read_targets(
     names, target = np.unique(texts[order], return_inverse=True)
     time, target = table.finite(clock)[order], target.reshape(-1)
     _check_rows(path, texts[order], time)
+    is_relative = any(column in table for column in _RELATIVE)
+    if not is_relative:
+        table.require(_MAP)
     if clock == "frame" and offset_s:
         raise LabelFileError(f"{path}: --truth-offset-s is for times; its rows have frame numbers.")
-    if any(column in table for column in _RELATIVE):
+    if is_relative:
         values = _relative(table)
     elif poses is None:
         raise LabelFileError(

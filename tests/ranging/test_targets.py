@@ -183,6 +183,7 @@ def test_columns_and_faults(tmp_path: Path) -> None:
         ("target,range_m\n1,2\n", "time_s"),
         ("time_s,target,range_m\n1,a,x\n", "range_m"),
         ("time_s,range_m\n1,2\n", "target"),
+        ("time_s,target,distance_m\n1,a,20\n", "range_m, forward_m, or x_m and y_m"),
     ):
         log.write_text(text)
         with pytest.raises(LabelFileError, match=word):
@@ -192,6 +193,7 @@ def test_columns_and_faults(tmp_path: Path) -> None:
 def test_which_tables_have_targets() -> None:
     assert is_target_table("Time_s, target ,range_m".split(","))
     assert is_target_table(["utc_s", "id", "x_m", "y_m"])
+    assert is_target_table(["time_s", "target", "distance_m"])  # the reader says what is missing
     assert not is_target_table("frame,id,class,x1,y1,x2,y2,distance_m,range_m".split(","))
     assert not is_target_table(["time_s", "id", "x_m"])
 

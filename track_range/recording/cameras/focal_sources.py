@@ -31,7 +31,7 @@ _EXIF_FOLDER, _EXIF_FILM_MM, _EXIF_MODEL = 0x8769, 0xA405, 0x0110
 
 def focal_guesses(video: Video, lens: GivenLens = UNKNOWN_LENS) -> tuple[FocalGuess, ...]:
     """Guesses from what is stated of the lens, else from the header or EXIF, else a usual focal
-    length; UsageError for an unknown model.
+    length.
     """
     size_px = video.shown_size_px
     if lens:

@@ -81,7 +81,7 @@ _METHOD_GRIDS = (  # title, key in a method's row, format and scale
     (f"Errors within one {tables.SIGMA}, % (expected: 68)", "within_1_sigma", "{:.0f}", 100.0),
 )
 
-_OMITTED = ("out", "versions")  # settings that do not affect the results
+_OMITTED = ("out", "overwrite", "versions")  # settings that do not affect the results
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -186,6 +186,12 @@ def comparison_notes(runs: Sequence[ComparedRun]) -> list[str]:
         notes.append(
             "The runs were not evaluated against the same kind of ground truth, or some runs had "
             "no ground truth."
+        )
+    offsets_s = {figure(run.section("targets"), "offset_s") for run in runs}
+    if len(offsets_s - {None}) > 1:
+        notes.append(
+            "The clock of the targets was shifted differently for the runs, so that they have no "
+            "true distances in common; evaluate both with the same --truth-offset-s."
         )
     if len({run.summary.get("frames") for run in runs}) > 1:
         notes.append("The runs have different numbers of frames.")

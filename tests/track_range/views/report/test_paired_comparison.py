@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from track_range.results.rows.rows import Rows
+from track_range.views.report.comparison import ComparedRun, comparison_notes
 from track_range.views.report.paired_comparison import NO_DIFFERENCE, paired_grid
 
 N_TRACKS, N_FRAMES = 12, 20
@@ -81,3 +82,15 @@ def test_runs_with_other_truth_are_not_compared(changed: str) -> None:
     without = old.select(slice(0, 0))
     assert not paired_grid(("a", "b"), (old, without)).rows
     assert not paired_grid(("a", "b"), (Rows({"fused_m": np.ones(3)}), old)).rows
+
+
+def test_other_offsets_of_the_clocks_are_said() -> None:
+    """Targets without boxes have true distances in common only at the same offset."""
+
+    def run(offset_s: float | None) -> ComparedRun:
+        summary = {} if offset_s is None else {"targets": {"offset_s": offset_s}}
+        return ComparedRun(name="run", summary=summary, settings={}, rows=rows(errors(0, 0.1)))
+
+    assert comparison_notes([run(0.5), run(0.5), run(None)]) == []
+    (note,) = comparison_notes([run(0.5), run(0.48)])
+    assert "--truth-offset-s" in note

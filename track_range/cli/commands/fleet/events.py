@@ -69,7 +69,7 @@ def _fleet_events(options: FleetEventsOptions) -> None:
     print_notes(console, listed.problems)
     if options.clips is not None:
         n_copied = sum(row["video"] is not None for row in rows)
-        print_line(console, f"{counted(n_copied, 'video')} in {options.clips}")
+        print_line(console, f"{counted(n_copied, 'video')} copied to {options.clips}")
         if n_copied < len(rows):
             note = "without a video: `fleet run ... --overlay --clips` writes them"
             print_notes(console, [f"{counted(len(rows) - n_copied, 'event')} {note}."])
