@@ -1,4 +1,6 @@
-"""OnnxSession: one ONNX network loaded by onnxruntime on a device, with errors as one sentence."""
+"""OnnxNetwork: one ONNX network loaded by onnxruntime on a device, with errors as one sentence;
+OnnxSession: one with an image as its input.
+"""
 
 from __future__ import annotations
 
@@ -45,16 +47,11 @@ class Runtime:
     n_threads: int = 0  # number of CPU threads; 0 = one per core
 
 
-class OnnxSession:
-    """A network with one image input, ready to run; ModelError if the file is no such network.
+class OnnxNetwork:
+    """A network with any inputs, ready to run; ModelError if the file is no network.
 
-    Its images are (batch, 3, height, width) for all networks: they are transposed for an input
-    whose channels are last, reduced to the first channel for an input of a single channel, rounded
-    for an input of uint8, and a single image for an input without a batch.
-
-    DETR-like networks may have the input `orig_target_sizes` as well; it is the size of the image
-    input, so that boxes are in pixels of that input. `input_shape` has None for dimensions of
-    variable size; `device` is the device in use.
+    `input_infos` and `output_infos` are onnxruntime's, with `name`, `shape` (texts or None where
+    the size varies) and `type` such as "tensor(float)"; `device` is the device in use.
     """
 
     def __init__(self, path: Path, runtime: Runtime | None = None) -> None:
@@ -76,7 +73,55 @@ class OnnxSession:
                     "detector",
                 ),
             )
-        self._input, self._size_input = _checked_inputs(path, self._session.get_inputs())
+        self.input_infos: Sequence[Any] = self._session.get_inputs()
+        self.output_infos: Sequence[Any] = self._session.get_outputs()
+        self.metadata: Mapping[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.path, self._runtime)
+
+    def run_inputs(self, inputs: dict[str, npt.NDArray[Any]]) -> list[npt.NDArray[Any]]:
+        """The outputs for all inputs by name; a device that fails in the first run is replaced by
+        the CPU.
+        """
+        with _library_errors(self.path, _FAILED):
+            try:
+                outputs: list[npt.NDArray[Any]] = self._session.run(None, inputs)
+            except Exception as error:  # onnxruntime has dozens of unrelated types
+                if self._has_run or self.device == "cpu":
+                    raise
+                self.notes = (
+                    f"--device {self.device} failed in its first run "
+                    f"({first_line(error, self.path)}); using the CPU.",
+                )
+                self._session, self.device, _ = open_session(self.path, "cpu", self._n_threads)
+                outputs = self._session.run(None, inputs)
+        self._has_run = True
+        return outputs
+
+    def sha256(self) -> str:
+        """SHA-256 of the model file in hexadecimal, so that a run can be repeated with the same
+        weights.
+        """
+        with self.path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+class OnnxSession(OnnxNetwork):
+    """A network with one image input, ready to run; ModelError if the file is no such network.
+
+    Its images are (batch, 3, height, width) for all networks: they are transposed for an input
+    whose channels are last, reduced to the first channel for an input of a single channel, rounded
+    for an input of uint8, and a single image for an input without a batch.
+
+    DETR-like networks may have the input `orig_target_sizes` as well; it is the size of the image
+    input, so that boxes are in pixels of that input. `input_shape` has None for dimensions of
+    variable size.
+    """
+
+    def __init__(self, path: Path, runtime: Runtime | None = None) -> None:
+        super().__init__(path, runtime)
+        self._input, self._size_input = _checked_inputs(path, self.input_infos)
         shape = tuple(d if isinstance(d, int) else None for d in self._input.shape)
         self._has_batch = len(shape) == 4
         shape = shape if self._has_batch else (1, *shape)  # torchvision's input is one image
@@ -86,10 +131,6 @@ class OnnxSession:
         self.has_integer_input = self._input.type == "tensor(uint8)"
         self.input_dtype = np.float16 if self._input.type == "tensor(float16)" else np.float32
         self.has_target_sizes = self._size_input is not None
-        self.metadata: Mapping[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return OnnxSession, (self.path, self._runtime)
 
     def inputs(self, blob: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
         """All inputs by name, for an input blob (batch, 3, height, width) of the network's type."""
@@ -120,37 +161,11 @@ class OnnxSession:
         outputs = self.run_inputs(self.inputs(blob.astype(self.input_dtype, copy=False)))
         return [np.asarray(output, np.float32) for output in outputs]
 
-    def run_inputs(self, inputs: dict[str, npt.NDArray[Any]]) -> list[npt.NDArray[Any]]:
-        """The outputs for all inputs by name; a device that fails in the first run is replaced by
-        the CPU.
-        """
-        with _library_errors(self.path, _FAILED):
-            try:
-                outputs: list[npt.NDArray[Any]] = self._session.run(None, inputs)
-            except Exception as error:  # onnxruntime has dozens of unrelated types
-                if self._has_run or self.device == "cpu":
-                    raise
-                self.notes = (
-                    f"--device {self.device} failed in its first run "
-                    f"({first_line(error, self.path)}); using the CPU.",
-                )
-                self._session, self.device, _ = open_session(self.path, "cpu", self._n_threads)
-                outputs = self._session.run(None, inputs)
-        self._has_run = True
-        return outputs
-
     def bound(self, input_hw: tuple[int, int]) -> BoundNetwork:
         """The network with buffers for one image of this size; one trial run determines the
         outputs' shapes.
         """
         return BoundNetwork(self, input_hw)
-
-    def sha256(self) -> str:
-        """SHA-256 of the model file in hexadecimal, so that a run can be repeated with the same
-        weights.
-        """
-        with self.path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def check_model_file(path: Path) -> None:

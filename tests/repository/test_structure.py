@@ -26,6 +26,7 @@ MOST_STATEMENTS = {
     # that are no boxes and JSON of other tools named (50); backgrounds, ids from 1 and equal outputs
     # of networks (25); classes from 1 or in the seventh column, and rows that are no pixels (20)
     # what a state of a pipeline has of networks and the far pass (7)
+    # sessions of networks with any inputs (6)
     "detection": 8_506,
     # riders whose name changes (17)
     # a similarity by sums, given up early (21); the second class of a track in doubt (23)
@@ -122,6 +123,7 @@ MOST_STATEMENTS = {
     # the plane of the road before a camera that stands still, its fit, its file, and the motion of
     # cuboids on it (572)
     # methods by the name of their object (19)
+    # depth and stereo networks in files of the user: formats, inputs, outputs (300)
     "ranging": 8_640,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
