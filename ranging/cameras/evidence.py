@@ -1,13 +1,14 @@
 """Evidence about the cameras, and where it comes from."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import Image
 from track_range.ranging.cameras.unknowns import Sum
+from track_range.ranging.size_models.network_scale import NetworkDistances
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.odometry.ego_motion import Ego
@@ -41,6 +42,8 @@ class SeenFrame:
     lanes: LaneLines = field(default_factory=LaneLines)
     alignment: Alignment | None = None  # of the pair; None = that of its rig
     image: Image | None = None  # the left one, (H, W, 3)
+    # distances of depth networks, without the correction of the drive's scale
+    by_network: Mapping[str, NetworkDistances] = field(default_factory=dict)
 
 
 class EvidenceSource(Protocol):

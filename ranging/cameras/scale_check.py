@@ -18,6 +18,7 @@ from track_range.ranging.cameras.evidence import Evidence, EvidenceSource, SeenF
 from track_range.ranging.cameras.known_distances import KnownDistances
 from track_range.ranging.cameras.learnt_focal import FocalEstimate, LearntFocal
 from track_range.ranging.cameras.motion_evidence import MotionEvidence
+from track_range.ranging.cameras.network_evidence import NetworkEvidence
 from track_range.ranging.cameras.posterior import CameraPosterior, posterior
 from track_range.ranging.cameras.scale_evidence import (
     HIGHEST,
@@ -46,6 +47,7 @@ from track_range.ranging.measurement.rig_scale import (
 )
 from track_range.ranging.methods.lane_width import LaneWidth
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
+from track_range.ranging.size_models.network_scale import NetworkScale
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
@@ -106,6 +108,7 @@ class ScaleCheck:
                 sources.append(ShapeEvidence(camera, sizes, background))
         self._sources = sources
         self._known = KnownDistances(())
+        self._networks: dict[str, NetworkEvidence] = {}
         self._evidence_names = ""  # of the latest evaluation
         self._due_s = self._since_s = -math.inf
         self._first_s = math.inf  # time of the first frame
@@ -144,6 +147,11 @@ class ScaleCheck:
     def focal(self) -> FocalEstimate | None:
         """The focal length as the drive shows it; None = it is known, or as before the drive."""
         return None if self._focal is None else self._focal.estimate
+
+    @property
+    def network_scales(self) -> dict[str, NetworkScale]:
+        """The scales of depth networks, by the name of their method."""
+        return {name: network.scale for name, network in self._networks.items()}
 
     def _scales(self) -> tuple[RigScale, RigScale]:
         """`rig_scale` and `road_scale` by the posterior."""
@@ -209,6 +217,9 @@ class ScaleCheck:
 
     def update(self, seen: SeenFrame) -> bool:
         """Add a frame; True = the posterior and the doubt are new."""
+        for name in seen.by_network.keys() - self._networks.keys():
+            self._networks[name] = NetworkEvidence(name, seen.by_network[name].errors)
+            self._sources.append(self._networks[name])
         for source in self._sources:
             source.add(seen)
         if seen.time_s < self._due_s and self.rig_scale.is_known:
@@ -244,6 +255,7 @@ class ScaleCheck:
             *self._known.notes,
             *of_focal,
             *self._offset_notes,
+            *(note for network in self._networks.values() for note in network.notes),
             *(was_in_doubt if spans else ()),
         )
         if learnt := self._learnt:
@@ -318,6 +330,9 @@ class ScaleCheck:
         sections: dict[str, Any] = {}
         if self.focal is not None:
             sections["learnt_focal"] = self.focal.summary()
+        if self._networks:
+            of_networks = {name: network.summary() for name, network in self._networks.items()}
+            sections["depth_networks"] = of_networks
         if self.doubt is not None:
             sections["scale_doubt"] = {**self.doubt._asdict(), "causes": dict(self.doubt.causes)}
         if learnt := self._learnt:
@@ -337,10 +352,13 @@ class ScaleCheck:
             kind: Kind = "given" if self._is_calibrated else "unknown"
             priors[Unknown.OFFSET] = Prior(self._sizes.residual_px, kind)
         is_height_given = priors[Unknown.HEIGHT].kind == "given"
+        priors |= {network.unknown: network.prior for network in self._networks.values()}
         bounds = [*self._speeds.bounds, *([] if is_height_given else [HIGHEST])]
         self.cameras = posterior(priors, evidence, bounds=bounds)
         if self._focal is not None:
             self._focal.update(priors, evidence, self.cameras, time_s)
+        for network in self._networks.values():
+            network.update(self.cameras)
         self.rig_scale, self.road_scale = self._scales()
         self._evaluated = priors, evidence
         self._evidence_names = names = self._names(evidence)

@@ -1,7 +1,8 @@
 """What a drive tells about its cameras: the unknowns, and what is known of each before the drive.
 
 An unknown is the logarithm of the factor by which the assumed value is too large. To add one, add a
-member of `Unknown` and its prior in `camera_priors`; evidence then names it.
+member of `Unknown` and its prior in `camera_priors`; evidence then names it. Every depth network has
+one, too (`NetworkFactor`), with the prior of its evidence.
 """
 
 import math
@@ -31,6 +32,15 @@ class Unknown(StrEnum):
     OFFSET = "disparity offset"  # true minus measured disparity in px, not a logarithm
 
 
+class NetworkFactor(str):
+    """The factor by which the distances of the depth network of this name are too large."""
+
+    __slots__ = ()
+
+
+AnyUnknown = Unknown | NetworkFactor
+
+
 class PriorPart(NamedTuple):
     """A normal distribution of an unknown, as a part of its prior."""
 
@@ -39,7 +49,7 @@ class PriorPart(NamedTuple):
     sigma: float
 
 
-Sum = Mapping[Unknown, float]
+Sum = Mapping[AnyUnknown, float]
 """A sum of unknowns: the coefficient of each; absent = 0."""
 
 OF_FOCAL: Sum = {Unknown.FOCAL: 1.0}
@@ -64,7 +74,7 @@ class Prior:
         return PriorPart(0.0, 0.0, self.sigma if self.curve is None else FREE_SIGMA)
 
 
-CameraPriors = Mapping[Unknown, Prior]
+CameraPriors = Mapping[AnyUnknown, Prior]
 """Priors by unknown; what the cameras do not have is absent."""
 
 FREE_SIGMA = 3.0  # of the logarithm of a value that is not known at all

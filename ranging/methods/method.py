@@ -21,6 +21,7 @@ from track_range.detection.box_errors import BoxErrors
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray32
 from track_range.foundation.errors import UserError
+from track_range.ranging.size_models.network_scale import NetworkDistances
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.region import Region
@@ -38,14 +39,23 @@ if TYPE_CHECKING:  # onnxruntime takes long to import, and reports do without it
     from track_range.detection.models.onnx_session import Runtime
 
 SourceName = Literal[
-    "size", "box_height", "contact_point", "horizon", "baseline", "lane_width", "drive_scale", "own"
+    "size",
+    "box_height",
+    "contact_point",
+    "horizon",
+    "baseline",
+    "lane_width",
+    "drive_scale",
+    "network",
+    "own",
 ]
 """Sources of distance errors.
 
 size: deviation of the object's size from the mean of its class; box_height: height of the box in
 the image; contact_point: row where the object touches the ground; horizon: pitch of the camera and
 slope of the road; baseline: geometry of the stereo rig; lane_width: width of the lane; drive_scale:
-error of all distances by size of a drive; own: errors that no other method shares.
+error of all distances by size of a drive; network:
+what depth networks have in common; own: errors that no other method shares.
 """
 
 Requirement = Literal[
@@ -74,6 +84,7 @@ class Measured(NamedTuple):
 
     ranges: Ranges
     evidence: ScaleEvidence | None = None
+    by_network: NetworkDistances | None = None  # before their correction
 
 
 class Ranger(ABC):

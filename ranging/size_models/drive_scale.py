@@ -23,7 +23,7 @@ A scale is a value: the evidence of frame t gives the scale of frame t + 1 (`Dri
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -33,6 +33,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
+from track_range.ranging.size_models.network_scale import NetworkScale
 from track_range.ranging.size_models.shared_sizes import (
     CLASS_SIGMA,
     DRIVE_VARIANCE,
@@ -156,6 +157,8 @@ class DriveScale:
     rig: RigScale = CALIBRATED  # of all that the pair measures
     road: RigScale = CALIBRATED  # of speeds by the motion of the road
     focal: FocalScale = EXACT  # of all depths, which results are corrected by
+    # of depth networks, by the name of their method; absent = as before a drive
+    network: Mapping[str, NetworkScale] = field(default_factory=dict)
 
     # (K,) posterior mean of a + c_k of the classes `SIZE_CLASSES`
     log_factor: FloatArray = field(default_factory=lambda: np.zeros(len(SIZE_CLASSES)))

@@ -43,14 +43,23 @@ class DoubtStage:
         return self._with_scales(DriveScale())
 
     def _with_scales(self, scale: DriveScale) -> DriveScale:
-        """With the scales of the pair, of the road and of the focal length, as far as known."""
+        """With the scales of the pair, of the road, of the focal length and of networks, as far as
+        known.
+        """
         check = self.check
         if check is None:
             return scale
-        known = scale.rig, scale.road, scale.focal
-        if known == (check.rig_scale, check.road_scale, check.focal_scale):
+        networks = check.network_scales
+        known = scale.rig, scale.road, scale.focal, scale.network
+        if known == (check.rig_scale, check.road_scale, check.focal_scale, networks):
             return scale
-        return replace(scale, rig=check.rig_scale, road=check.road_scale, focal=check.focal_scale)
+        return replace(
+            scale,
+            rig=check.rig_scale,
+            road=check.road_scale,
+            focal=check.focal_scale,
+            network=networks,
+        )
 
     def update(
         self,
@@ -76,6 +85,7 @@ class DoubtStage:
                 lanes or LaneLines(),
                 measured.alignment,
                 frame.left,
+                measured.by_network,
             )
             if check.update(seen):
                 doubt = Doubt.of(check.cameras, self._errors, check.doubt, self.initial_scale)

@@ -100,7 +100,7 @@ class FramePipeline:
         if not image.is_repeated:
             with stage("doubt"):
                 doubt, scale = self.doubting.update(tracks, measured, ego, lanes, scale, frame)
-            measured = measured.at_scale(scale.rig)
+            measured = measured.at_scale(scale)
         with stage("fuse"):
             fused = self.fusion.fuse(measured.ranges, tracks.track_id, time_s)
         with stage("filter"):

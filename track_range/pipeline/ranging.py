@@ -19,6 +19,7 @@ from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
 from track_range.ranging.methods.method import MethodError, Ranger, checked_ranges
 from track_range.ranging.registry import methods
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
+from track_range.ranging.size_models.network_scale import NetworkDistances
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import Ego
@@ -38,6 +39,8 @@ class FrameRanges:
     alignment: Alignment | None = None  # of the pair in the frame; None = that of its rig
     disparity: FloatArray32 | None = None  # (H, W) px; None = dense stereo did not run
     rig: RigScale = CALIBRATED  # by which `ranges` are corrected
+    # those of depth networks before the correction of their scales
+    by_network: Mapping[str, NetworkDistances] = field(default_factory=dict)
 
     @property
     def by_size(self) -> Ranges | None:
@@ -51,11 +54,16 @@ class FrameRanges:
         """Distances with the scale of the rig, before its correction; None = no method has it."""
         return next(iter(self.of_rig.values()), None)
 
-    def at_scale(self, rig: RigScale) -> Self:
-        """The distances with the scale of the rig as this frame shows it."""
-        if rig == self.rig:
+    def at_scale(self, scale: DriveScale) -> Self:
+        """The distances with the scales of the rig and of networks as this frame shows them."""
+        rig, corrected = scale.rig, dict[str, Ranges]()
+        if rig != self.rig:
+            corrected = {name: rig.corrected(ranges) for name, ranges in self.of_rig.items()}
+        for name, item in self.by_network.items():
+            if (network := scale.network.get(name)) is not None:
+                corrected[name] = network.corrected(item.ranges, item.class_id)
+        if not corrected:
             return self
-        corrected = {name: rig.corrected(ranges) for name, ranges in self.of_rig.items()}
         return replace(self, ranges={**self.ranges, **corrected}, rig=rig)
 
     @property
@@ -106,6 +114,7 @@ class RangingStage:
         """
         ranges, of_rig = dict[str, Ranges](), dict[str, Ranges]()
         evidence: list[ScaleEvidence] = []
+        by_network = dict[str, NetworkDistances]()
         for name, ranger in self.rangers.items():
             others = {
                 other: ranges[other] for other in self._reads.get(name, ()) if other in ranges
@@ -118,6 +127,8 @@ class RangingStage:
                     with _named(name, ranger, f", frame {frame.index}"):
                         raise
                 ranges[name] = checked_ranges(name, measured.ranges, tracks, self._n_invalid)
+            if measured.by_network is not None:
+                by_network[name] = measured.by_network
             shown = measured.evidence
             if name in self._of_rig:
                 of_rig[name] = ranges[name]
@@ -134,6 +145,7 @@ class RangingStage:
             frame.alignment,
             self._disparity(),
             scale.rig,
+            by_network,
         )
 
     def _update(self, ranger: Ranger, ego: Ego, lanes: LaneLines | None) -> None:

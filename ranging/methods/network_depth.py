@@ -1,0 +1,170 @@
+"""NetworkDepthRanger: distance by the depths that a network gives for the pixels of one image.
+
+The network measures in a background thread. Its distances are corrected by what the drive shows of
+its errors (`NetworkScale`).
+"""
+
+import time
+import zlib
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Protocol
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray, Image
+from track_range.ranging.measurement.dense_map import DenseMap
+from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.methods.method import (
+    ErrorSource,
+    Measured,
+    MethodContext,
+    Ranger,
+    RangingMethod,
+)
+from track_range.ranging.size_models.drive_scale import NO_EVIDENCE, DriveScale
+from track_range.ranging.size_models.network_scale import (
+    NetworkDistances,
+    NetworkErrors,
+    NetworkScale,
+)
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.matching.sgbm import inner_halves
+from track_range.tracking.tracks import Tracks
+
+_NAME = "depth"
+# for further networks; none is used by other methods
+_LETTERS, _COLOURS = "NOPQRTUVW", ("#5b6abf", "#8a4fa3", "#2f8f83", "#a8643c", "#6b7f2a")
+
+
+class DepthNetwork(Protocol):
+    """A network that is open."""
+
+    def measure(self, image: Image, fx_px: float) -> DenseMap:
+        """The depth of an image (H, W, 3) in BGR, of a camera with this focal length."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user."""
+
+
+class NetworkDepthRanger(Ranger):
+    """Ranges each box by the depth of the surface at its centre."""
+
+    def __init__(
+        self,
+        name: str,
+        network: DepthNetwork,
+        camera: PinholeCamera,
+        errors: NetworkErrors | None = None,
+    ) -> None:
+        """Start a ranger of the method `name`; `errors` are measured ones of the network, None =
+        those of any network.
+        """
+        self._name, self._network, self._camera = name, network, camera
+        self._errors = errors or NetworkErrors()
+        self._before = NetworkScale(self._errors, self._errors.log_factor)
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix=name)
+        self._pending: dict[int, tuple[Image, Future[DenseMap]]] = {}
+
+    def start(self, frame: Frame) -> None:
+        """Compute the depths of a frame in the background; `measure` waits for them."""
+        self._pending[frame.index] = frame.left, self._thread.submit(self._depths, frame.left)
+
+    def skip(self, frame: Frame) -> None:
+        """Drop the depths of a frame."""
+        pending = self._pending.pop(frame.index, None)
+        if pending is not None:
+            pending[1].cancel()
+
+    def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
+        """Distances of observed boxes, with the sigma of a network before any evidence."""
+        return self.measure_at_scale(tracks, frame, {}, NO_EVIDENCE).ranges
+
+    def measure_at_scale(
+        self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale
+    ) -> Measured:
+        """Distances as the drive before this frame corrects them, and those of the network."""
+        pending = self._pending.get(frame.index)
+        if pending is None or pending[0] is not frame.left:
+            self.skip(frame)
+            self.start(frame)
+        raw = self._raw(tracks, self._pending.pop(frame.index)[1].result())
+        corrected = scale.network.get(self._name, self._before).corrected(raw, tracks.class_id)
+        return Measured(corrected, by_network=NetworkDistances(raw, self._errors, tracks.class_id))
+
+    def _raw(self, tracks: Tracks, depths: DenseMap) -> Ranges:
+        """The distances of the network, with the errors of their surfaces alone."""
+        values, sigmas = box_surfaces(depths, tracks.xyxy_px)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            if depths.quantity == "inverse_depth":
+                values, sigmas = 1.0 / values, sigmas / values**2
+        is_measured = tracks.observed & (values > 0) & np.isfinite(values)
+        return Ranges(
+            tracks.track_id,
+            np.where(is_measured, values, np.nan),
+            np.where(is_measured, sigmas, np.nan),
+            is_fallback=False,
+        )
+
+    def close(self) -> None:
+        """Drop pending frames and end the thread."""
+        self._thread.shutdown(wait=True, cancel_futures=True)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages about the network."""
+        return self._network.notes
+
+    def _depths(self, image: Image) -> DenseMap:
+        start_s = time.perf_counter()
+        depths = self._network.measure(image, self._camera.fx_px)
+        self.background_s += time.perf_counter() - start_s
+        return depths
+
+
+def box_surfaces(dense: DenseMap, xyxy_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Median of the inner half of each box (N, 4), and its standard deviation, (N,) each."""
+    medians, sigmas = np.full((2, len(xyxy_px)), np.nan)
+    boxes = dense.in_map(xyxy_px)
+    for i, patch in enumerate(inner_halves(boxes, dense.values.shape)):
+        known = None if patch is None else dense.values[patch.window]
+        if known is not None and np.isfinite(known).any():
+            medians[i] = np.nanmedian(known)
+            sigmas[i] = 0.5 * np.nanmedian(np.abs(known - medians[i]))
+    return medians, sigmas
+
+
+def network_method(name: str) -> RangingMethod:
+    """The method of a depth network: `depth`, or `depth-NAME` of further ones."""
+    k = 0 if name == _NAME else 1 + zlib.crc32(name.encode()) % (len(_LETTERS) - 1)
+
+    def create(context: MethodContext) -> Ranger | None:
+        path = context.depth_models.get(name)
+        if path is None:
+            return None
+        from track_range.ranging.networks.network import open_depth_network  # onnxruntime
+
+        return NetworkDepthRanger(
+            name, open_depth_network(path, context.runtime), context.camera
+        )
+
+    return RangingMethod(
+        name=name,
+        title=name.replace("-", " network ", 1) if k else "depth network",
+        letter=_LETTERS[k],
+        colour=_COLOURS[k % len(_COLOURS)],
+        create=create,
+        needs=frozenset({"image"}),
+        reads=("mono", "stereo"),
+        error_sources=(
+            ErrorSource("drive_scale", systematic=0.25),
+            ErrorSource("network", systematic=0.4),
+            ErrorSource("own", independent=0.35),
+        ),
+        fallback_for="mono",
+    )
+
+
+DEPTH = network_method(_NAME)
