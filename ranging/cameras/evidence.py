@@ -8,8 +8,8 @@ from typing import Protocol
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import Image
 from track_range.ranging.cameras.unknowns import Sum
-from track_range.ranging.size_models.network_scale import NetworkDistances
 from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.size_models.network_scale import NetworkDistances
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.odometry.ego_motion import Ego
 from track_range.tracking.tracks import Tracks

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.errors import Note
 from track_range.foundation.files.input_files import counted
 from track_range.foundation.track_state import TrackState
@@ -82,22 +82,21 @@ class NetworkEvidence:
                 variance = systematic - shared_variance(systematic)
             else:
                 is_used &= variance < _MAX_RIG_SIGMA**2
-        self._add(is_used, tracks.track_id, [log_m, ratio, variance, noise, tracks.class_id])
+        values = np.array([log_m, ratio, variance, noise])
+        self._add(values[:, is_used], tracks.track_id[is_used], tracks.class_id[is_used])
 
-    def _add(self, is_used: BoolArray, track_id: FloatArray, values: list[FloatArray]) -> None:
-        rows = is_used.nonzero()[0]
-        if not len(rows):
+    def _add(self, values: FloatArray, track_id: IntArray, class_id: IntArray) -> None:
+        """Average the values (4, N) of tracks with those of the same distances before."""
+        if not len(track_id):
             return
-        log_m, ratio, variance, noise, class_id = (np.asarray(value)[rows] for value in values)
-        bins = np.clip(np.floor(log_m / _CELL_LOG), 0, _CELLS_PER_TRACK - 1)
-        cell = (track_id[rows] * _CELLS_PER_TRACK + bins).astype(np.int64)
+        bins = np.clip(np.floor(values[0] / _CELL_LOG), 0, _CELLS_PER_TRACK - 1)
+        cell = (track_id * _CELLS_PER_TRACK + bins).astype(np.int64)
         state = self._cells.get(cell)
         state[0] += 1.0
         before = state[2].copy()
-        means = np.array([log_m, ratio, variance, noise])
-        state[1:5] += (means - state[1:5]) / state[0]
-        state[5] += (ratio - before) * (ratio - state[2])
-        state[6], state[7] = track_id[rows], class_id
+        state[1:5] += (values - state[1:5]) / state[0]
+        state[5] += (values[1] - before) * (values[1] - state[2])
+        state[6], state[7] = track_id, class_id
         stays = np.arange(self._cells.known.shape[1]) < _MAX_CELLS
         self._cells.put(cell, state, keep_known=stays)
         self._free = None

@@ -2,7 +2,7 @@ r"""CameraPosterior: the unknowns of the cameras by all evidence together.
 
 Unknowns, as logarithms of factors: the error g of the rig (its baseline), a of all distances by
 size, h of the camera's height over the expected one, f of the focal length, u of the given speed,
-and c of the frame rate.
+c of the frame rate, and n of the depths of a network at the assumed focal length.
 
     log d_stereo - log d_size of the road users                      = g - a
     log height of the camera over their contact points by size       = h + a
@@ -10,6 +10,8 @@ and c of the frame rate.
     log height by the given speed over the motion of the road        = h - f - c + u    one camera
     log speed by stereo odometry - log given speed                   = g + f + c - u
     log height by the usual width of the lane, from its lines        = h
+    log d_network - log d_size of the road users, of each network    = n - a        without a pair
+    log d_network - log d_stereo                                     = n - g
     log focal length - log f by the shapes of vehicles' boxes        = f
     log of an impossible speed by stereo odometry over the largest   < g + f + c
     log of the height of the highest vehicles over the assumed one   > h
@@ -45,6 +47,7 @@ from scipy.special import logsumexp, ndtr
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.cameras.evidence import Evidence
 from track_range.ranging.cameras.unknowns import (
+    AnyUnknown,
     CameraPriors,
     PriorPart,
     Sum,
@@ -65,7 +68,7 @@ class _Hypothesis(NamedTuple):
     """Normal distributions instead of the usual prior of some unknowns."""
 
     cause: Unknown | None  # the given value that is a mistake; None = all are right
-    parts: Mapping[Unknown, PriorPart]
+    parts: Mapping[AnyUnknown, PriorPart]
     left_out: frozenset[int] = frozenset()  # indices of evidence that is wrong
     log_weight: float = 0.0
 
@@ -81,7 +84,7 @@ class LogEstimate(NamedTuple):
 class CameraPosterior:
     """The unknowns (U,) by C hypotheses."""
 
-    unknowns: tuple[Unknown, ...]
+    unknowns: tuple[AnyUnknown, ...]
     cause: tuple[Unknown | None, ...]  # (C,) the given value that is a mistake; None = none is
     weight: FloatArray  # (C,) probability
     mean: FloatArray  # (C, U)
@@ -255,12 +258,12 @@ def _solved(
 
 
 def _hypotheses(
-    priors: CameraPriors, evidence: Sequence[Evidence], named: set[Unknown]
+    priors: CameraPriors, evidence: Sequence[Evidence], named: set[AnyUnknown]
 ) -> list[_Hypothesis]:
     """All hypotheses; what no evidence names cannot be told from the others."""
     hypotheses = [_Hypothesis(None, {})]
     for unknown, prior in priors.items():
-        if prior.kind == "given" and unknown in named:
+        if prior.kind == "given" and isinstance(unknown, Unknown) and unknown in named:
             hypotheses += [
                 _Hypothesis(unknown, {unknown: part}, log_weight=part.log_weight)
                 for part in mistakes(unknown)

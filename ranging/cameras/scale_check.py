@@ -165,7 +165,7 @@ class ScaleCheck:
         offset = self._offset
         if self._is_calibrated:
             return replace(CALIBRATED, offset=offset)
-        at_centre = {} if offset is None else {Unknown.OFFSET: offset.centre}
+        at_centre: Sum = {} if offset is None else {Unknown.OFFSET: offset.centre}
         sums = {**OF_PAIR, **at_centre}, {**OF_BASELINE, **at_centre}
         sigmas = [self.cameras.sigma_of(of, self.cameras.correction(of)) for of in sums]
         # the distances by size, with which others are fused, have the error of the focal length too
@@ -177,7 +177,8 @@ class ScaleCheck:
     @property
     def _offset(self) -> DisparityOffset | None:
         """The error of the disparities, unless the alignment knows it."""
-        cameras, rig, of = self.cameras, self._rig, {Unknown.OFFSET: 1.0}
+        cameras, rig = self.cameras, self._rig
+        of: Sum = {Unknown.OFFSET: 1.0}
         if rig is None or Unknown.OFFSET not in cameras.unknowns:
             return None
         variance = cameras.covariance_of(of, of)

@@ -2,7 +2,6 @@
 
 import math
 from collections import deque
-from collections.abc import Mapping
 
 import numpy as np
 
@@ -174,7 +173,7 @@ class SizeEvidence:
                 evidence += _with_offset(name, *values)
             else:
                 variance = values[1] + (self.residual_px * values[2]) ** 2
-                of = {Unknown.BASELINE: 1.0, Unknown.SIZES: -1.0}
+                of: Sum = {Unknown.BASELINE: 1.0, Unknown.SIZES: -1.0}
                 evidence += _by_class(name, of, values[0], variance, values[3])
         shown = np.flatnonzero(n_q >= self._min_frames)
         if len(shown) >= _MIN_OBJECTS:
@@ -185,7 +184,7 @@ class SizeEvidence:
 
 def _by_class(
     name: str,
-    of: Mapping[Unknown, float],
+    of: Sum,
     value: FloatArray,
     variance: FloatArray,
     class_id: FloatArray,
@@ -209,7 +208,7 @@ def _of_contacts(
     inverse = of_horizon / OFFSET_SIGMA_PX
     errors = common_errors(value, variance, inverse, shared_variance=shared_variance)
     sigma = math.sqrt(np.linalg.inv(errors.information)[0, 0])
-    of = {Unknown.HEIGHT: 1.0, Unknown.SIZES: 1.0}
+    of: Sum = {Unknown.HEIGHT: 1.0, Unknown.SIZES: 1.0}
     return Evidence("the points where road users touch the road", of, float(errors.mean[0]), sigma)
 
 
@@ -270,7 +269,7 @@ class SpeedEvidence:
         evidence = []
         if (measured := self._pair_height.height_m) is not None:
             value = math.log(measured[0]) - self._log_height
-            of = {Unknown.BASELINE: 1.0, Unknown.HEIGHT: 1.0}
+            of: Sum = {Unknown.BASELINE: 1.0, Unknown.HEIGHT: 1.0}
             sigma = measured[1] / measured[0]
             evidence.append(Evidence("the motion of the road", of, value, sigma))
         if self._given is not None:
@@ -292,7 +291,7 @@ class SpeedEvidence:
         if self._max_mps <= MAX_MPS:
             return []
         log_factor = math.log(self._max_mps / MAX_MPS)
-        of = {Unknown.BASELINE: 1.0, Unknown.FOCAL: 1.0, Unknown.FRAME_RATE: 1.0}
+        of: Sum = {Unknown.BASELINE: 1.0, Unknown.FOCAL: 1.0, Unknown.FRAME_RATE: 1.0}
         return [Evidence("the speed of the camera", of, log_factor, _MAX_MPS_SIGMA)]
 
 
@@ -340,5 +339,5 @@ class LaneEvidence:
         log_height = math.log(self._lane.width_m) - float(np.median(self._log_openings))
         sigma = math.hypot(self._lane.sigma, _LANE_SIGMA)
         value = log_height - self._log_height
-        of = {Unknown.HEIGHT: 1.0}
+        of: Sum = {Unknown.HEIGHT: 1.0}
         return [Evidence("the lane lines", of, value, sigma, _MAX_LANE_CHI2)]

@@ -150,7 +150,7 @@ def camera_priors(
     if height_m is not None:
         height = Prior(GIVEN_SIGMA, "given", height_m)
     focal_kind: Kind = "given" if focal_sigma <= KNOWN_FOCAL else "unknown"
-    priors = {
+    priors: dict[AnyUnknown, Prior] = {
         Unknown.SIZES: Prior(common_sigma(region), "unknown"),
         Unknown.HEIGHT: height,
         Unknown.FOCAL: Prior(math.hypot(_FOCAL_SIGMA, focal_sigma), focal_kind, focal_px),

@@ -21,9 +21,9 @@ from track_range.detection.box_errors import BoxErrors
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray32
 from track_range.foundation.errors import UserError
-from track_range.ranging.size_models.network_scale import NetworkDistances
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
+from track_range.ranging.size_models.network_scale import NetworkDistances
 from track_range.ranging.size_models.region import Region
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.ranging.world.road_plane import RoadPlane

@@ -6,7 +6,7 @@ its errors (`NetworkScale`).
 
 import time
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Protocol
 
@@ -38,8 +38,8 @@ _NAME = "depth"
 _LETTERS, _COLOURS = "NOPQRTUVW", ("#5b6abf", "#8a4fa3", "#2f8f83", "#a8643c", "#6b7f2a")
 
 
-class DepthNetwork(Protocol):
-    """A network that is open."""
+class DepthSource(Protocol):
+    """An open network, or what measures like one."""
 
     def measure(self, image: Image, fx_px: float) -> DenseMap:
         """The depth of an image (H, W, 3) in BGR, of a camera with this focal length."""
@@ -55,7 +55,7 @@ class NetworkDepthRanger(Ranger):
     def __init__(
         self,
         name: str,
-        network: DepthNetwork,
+        network: DepthSource,
         camera: PinholeCamera,
         errors: NetworkErrors | None = None,
     ) -> None:
@@ -146,9 +146,7 @@ def network_method(name: str) -> RangingMethod:
             return None
         from track_range.ranging.networks.network import open_depth_network  # onnxruntime
 
-        return NetworkDepthRanger(
-            name, open_depth_network(path, context.runtime), context.camera
-        )
+        return NetworkDepthRanger(name, open_depth_network(path, context.runtime), context.camera)
 
     return RangingMethod(
         name=name,
