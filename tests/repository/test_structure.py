@@ -124,6 +124,7 @@ MOST_STATEMENTS = {
     # cuboids on it (572)
     # methods by the name of their object (19)
     # depth and stereo networks in files of the user: formats, inputs, outputs (300)
+    # depth networks as a method, with the factor and the shape of their errors in a drive (260)
     "ranging": 9_033,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
