@@ -125,7 +125,7 @@ MOST_STATEMENTS = {
     # methods by the name of their object (19)
     # depth and stereo networks in files of the user: formats, inputs, outputs (300)
     # depth networks as a method, with the factor and the shape of their errors in a drive (260)
-    "ranging": 9_033,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 9_435,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
     # `check` (4)
@@ -207,7 +207,7 @@ MOST_STATEMENTS = {
     # objects with covariances, velocities and sizes (50), states of pipelines (80), and their health (45)
     # whether the border cuts a box, as a part of its approach (1)
     # a camera that stands still (17)
-    "pipeline": 1_189,
+    "pipeline": 1_200,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120),
