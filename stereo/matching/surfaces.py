@@ -18,6 +18,7 @@ p0 is the disparity at the box's centre, also of a car seen obliquely.
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -56,6 +57,40 @@ _LOWER_MIDDLE = 0.125
 _MIN_WINDOWS = 4
 _FULL_COST_BITS = 6.0  # cost up to which a window counts fully, bits per pixel
 _NO_MATCH_BITS = 10.0  # cost from which it counts as a chance match, which has 12
+
+
+class BoxWindows(Protocol):
+    """G windows of each of N boxes: `BoxTiles`, or those of a dense map."""
+
+    @property
+    def u(self) -> FloatArray:
+        """(N, G) position to the right of the box's centre, in box widths."""
+        ...
+
+    @property
+    def v(self) -> FloatArray:
+        """(N, G) position below the box's centre, in box heights."""
+        ...
+
+    @property
+    def is_used(self) -> BoolArray:
+        """(N, G) windows inside the box and the image."""
+        ...
+
+    @property
+    def first(self) -> FloatArray:
+        """(N,) disparity of index 0, px of the tile."""
+        ...
+
+    @property
+    def first_px(self) -> FloatArray:
+        """(N,) the same in px of the image."""
+        ...
+
+    @property
+    def scale(self) -> FloatArray:
+        """(2, N) px of the image per px of the tile, in x and in y."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +190,7 @@ def centre_weights(u: FloatArray, v: FloatArray) -> FloatArray:
     return np.asarray(np.exp((u * u + v * v) * (-0.5 / _CENTRE_SIGMA**2)))
 
 
-def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles) -> Surfaces:
+def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxWindows) -> Surfaces:
     """The S surfaces with most support, from disparities (N, G) relative to index 0, px of the
     tile, and weights.
 
