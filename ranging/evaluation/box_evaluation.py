@@ -18,6 +18,7 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.bootstrap import CI95, Resamples, Statistic, figures_of
+from track_range.foundation.paired_differences import measured_by_all, paired_differences
 from track_range.ranging.truth.errors import (
     BANDS_M,
     MethodColumn,
@@ -85,6 +86,36 @@ def _class_figures(
         "by_drive": by_drive,
         "worst_drive": _worst_drive(by_drive),
     }
+
+
+def comparison(
+    boxes: BoxSet, columns: Mapping[str, MethodColumn], seed: int = 0
+) -> dict[str, dict[str, Any]]:
+    """By class, the median errors of several methods on the boxes at 10-100 m that all of them
+    measured, with the differences from the smallest one, and the number of boxes of each; see
+    `paired_differences`. Methods that measured less than half of the boxes are only counted.
+    """
+    compared = {}
+    true_m = boxes.distance_m
+    errors = {name: np.abs(column.distance_m / true_m - 1) for name, column in columns.items()}
+    for class_name in CLASSES if len(columns) > 1 else ():
+        rows = (boxes.class_name == class_name) & (true_m >= NEAREST_M) & (true_m <= BANDS_M[-1])
+        common, names = measured_by_all(errors, rows)
+        if not rows.any():
+            continue
+        resamples = Resamples.of(boxes.track_id, drive=boxes.sequence, seed=seed, rows=common)
+        statistics = {
+            name: Statistic(np.where(common, errors[name], np.nan), 0.5, 100) for name in names
+        }
+        compared[class_name] = {
+            "n": int(rows.sum()),
+            "n_common": int(common.sum()),
+            "n_measured": {
+                name: int((np.isfinite(error) & rows).sum()) for name, error in errors.items()
+            },
+            **paired_differences(statistics, resamples, "median_relative_error_pct"),
+        }
+    return compared
 
 
 def _drive_figures(

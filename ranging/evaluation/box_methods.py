@@ -1,29 +1,43 @@
-"""Box-only methods on labelled boxes: registered ranging methods as in a run, and plain curves."""
+"""Methods on labelled boxes: registered ranging methods as in a run, plain curves, and fusions."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from track_range.foundation.arrays import IntArray
-from track_range.ranging.evaluation.box_evaluation import frame_rows
+from track_range.foundation.errors import UsageError
+from track_range.ranging.evaluation.box_frames import (
+    SequenceRangers,
+    as_frames,
+    ranges_in_frame,
+    store,
+    unmeasured,
+    without_empty_systematic,
+)
+from track_range.ranging.evaluation.image_methods import MethodInputs, image_columns
 from track_range.ranging.fitting import cross_validation
 from track_range.ranging.fitting.prior_fit import fit_size_priors
 from track_range.ranging.fusion.fusion import Fusion
-from track_range.ranging.measurement.ranges import Ranges
-from track_range.ranging.methods.method import MethodContext, Ranger, RangingMethod, checked_ranges
+from track_range.ranging.methods.method import MethodContext, RangingMethod, Requirement
 from track_range.ranging.registry import create_rangers, methods
 from track_range.ranging.size_models.curve import CurveError, load_curves
-from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, within_range
 from track_range.ranging.size_models.region import Region
 from track_range.ranging.size_models.regions import in_region
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
 from track_range.ranging.truth.errors import MethodColumn
 from track_range.ranging.truth.labelled_boxes import BoxSet
-from track_range.stereo.geometry.frames import Frame
-from track_range.tracking.tracks import Tracks
+
+_NO_INPUTS = MethodInputs()
+# what a requirement of a method asks for; others are met by runs only
+_OPTIONS: Mapping[Requirement, str] = {
+    "image": "--images",
+    "rig": "--images and --right-images",
+    "right_image": "--images and --right-images",
+    "dense_disparity": "--images and --right-images",
+    "camera_height": "--camera-height",
+}
 
 
 def box_methods() -> tuple[RangingMethod, ...]:
@@ -31,12 +45,45 @@ def box_methods() -> tuple[RangingMethod, ...]:
     return tuple(method for method in methods() if method.measures_distance and not method.needs)
 
 
-def method_names() -> tuple[str, ...]:
-    """Names of all methods that can be measured, in the order of tables; the last is the fusion of
-    the box methods.
+def method_names(
+    inputs: MethodInputs = _NO_INPUTS, camera_height_m: float | None = None
+) -> tuple[str, ...]:
+    """Names of all methods that can be measured, in the order of tables; the last ones are the fusion
+    of the box methods and, with images, of all methods.
     """
-    names = [method.name for method in box_methods()]
-    return (*PLAIN_CURVES, *names, "+".join(names))
+    boxes = [method.name for method in box_methods()]
+    available = inputs.available(camera_height_m)
+    others = [
+        method
+        for method in methods()
+        if method.measures_distance
+        and method.needs
+        and method.needs <= available
+        and (method.name in inputs.networks or not getattr(method, "is_optional", False))
+    ]
+    fused = [*boxes, *(method.name for method in others if method.fuses)]
+    names = [*boxes, *(method.name for method in others)]
+    return tuple(dict.fromkeys((*PLAIN_CURVES, *names, "+".join(boxes), "+".join(fused))))
+
+
+def check_methods(
+    names: Sequence[str], inputs: MethodInputs = _NO_INPUTS, camera_height_m: float | None = None
+) -> None:
+    """UsageError: a name is of no method of distances, or the method needs what is not given."""
+    by_name = {method.name: method for method in methods() if method.measures_distance}
+    available = inputs.available(camera_height_m)
+    for name in names:
+        for part in () if name in PLAIN_CURVES else name.split("+"):
+            if part not in by_name:
+                known = ", ".join((*PLAIN_CURVES, *by_name))
+                raise UsageError(
+                    f"--methods {part}: expected methods of distances from {known}, joined by + for "
+                    "their fusion, or package.module:OBJECT."
+                )
+            for need in sorted(by_name[part].needs - available):
+                options = _OPTIONS.get(need)
+                advice = f"; give {options}" if options else ", which only a run has"
+                raise UsageError(f"--methods {part}: needs {need.replace('_', ' ')}{advice}.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,11 +113,17 @@ class MethodOptions:
 
 
 def measured_by(
-    names: Sequence[str], boxes: BoxSet, train: BoxSet, options: MethodOptions | None = None
+    names: Sequence[str],
+    boxes: BoxSet,
+    train: BoxSet,
+    options: MethodOptions | None = None,
+    inputs: MethodInputs = _NO_INPUTS,
 ) -> dict[str, MethodColumn]:
-    """Distances and sigmas of N boxes, by method of `method_names`.
+    """Distances and sigmas of N boxes, by method of `method_names`, or by several methods joined by
+    +, which are fused.
 
-    Curves are fitted to `train`: boxes of the same sequences, for example without noise.
+    Curves are fitted to `train`: boxes of the same sequences, for example without noise. `inputs` are
+    those of methods that need more than boxes; see `image_columns` for their errors.
     """
     options = options or MethodOptions()
     scheme = options.scheme or cross_validation.cross_validated
@@ -82,10 +135,21 @@ def measured_by(
         for name in names
         if name in PLAIN_CURVES
     }
-    if set(names) <= columns.keys():
-        return {name: columns[name] for name in names}
+    parts = {name: tuple(name.split("+")) for name in names if name not in columns}
+    wanted = {part for of_name in parts.values() for part in of_name}
+    others = [method for method in methods() if method.name in wanted and method.needs]
+    if wanted - {method.name for method in others}:
+        columns |= _box_columns(boxes, train, options)
+    if others:
+        columns |= _input_columns(boxes, others, options, inputs)
+    for name, of_name in parts.items():
+        if len(of_name) > 1:
+            columns[name] = fused_column(boxes, {part: columns[part] for part in of_name})
+    return {name: columns[name] for name in names}
 
-    # All box methods and their fusion; methods with a size model are fitted according to `options`.
+
+def _box_columns(boxes: BoxSet, train: BoxSet, options: MethodOptions) -> dict[str, MethodColumn]:
+    """Columns of all box methods; those with a size model are fitted according to `options`."""
     measured: dict[str, MethodColumn] = {}
     for method in box_methods():
         if method.uses_size_model and options.scheme is not None:
@@ -96,9 +160,35 @@ def measured_by(
             )
     others = [method for method in box_methods() if not method.uses_size_model]
     measured |= ranger_columns(boxes, others, options, measured=measured)
-    measured = {method.name: measured[method.name] for method in box_methods()}
-    columns |= {**measured, "+".join(measured): fused_column(boxes, measured)}
-    return {name: columns[name] for name in names}
+    return {method.name: measured[method.name] for method in box_methods()}
+
+
+def _input_columns(
+    boxes: BoxSet, chosen: Sequence[RangingMethod], options: MethodOptions, inputs: MethodInputs
+) -> dict[str, MethodColumn]:
+    """Columns of methods that need more than boxes, which are measured together with the box
+    methods, as in a run: these have the sizes of the curve file.
+    """
+    read = {name for method in chosen for name in method.reads}
+    names = {method.name for method in (*chosen, *box_methods())}
+    available = inputs.available(options.camera_height_m)
+    listed = [
+        method
+        for method in methods()
+        if method.name in names or (method.name in read and method.needs <= available)
+    ]
+    context = MethodContext(
+        camera=boxes.camera_at(0),
+        size_model=load_curves(options.curves, options.region),
+        box_sigma_px=options.box_sigma_px,
+        camera_height_m=options.camera_height_m,
+        region=options.region,
+        has_images=inputs.images is not None,
+        has_dense_disparity="dense_disparity" in available,
+        depth_models=inputs.depth_models,
+        stereo_models=inputs.stereo_models,
+    )
+    return image_columns(boxes, listed, inputs, context, chosen=[method.name for method in chosen])
 
 
 def ranger_columns(
@@ -119,8 +209,8 @@ def ranger_columns(
     class_id = boxes.class_id
     if size_model is not None:
         class_id = np.array([SIZE_CLASSES.index(str(name)) for name in boxes.class_name], np.int64)
-    columns = {method.name: _unmeasured(len(boxes)) for method in listed}
-    rangers = _SequenceRangers({}, {})
+    columns = {method.name: unmeasured(len(boxes)) for method in listed}
+    rangers = SequenceRangers({}, {})
     for rows, tracks, frame, is_first in as_frames(boxes, class_id):
         if is_first:
             context = MethodContext(
@@ -132,57 +222,13 @@ def ranger_columns(
                 has_images=False,
             )
             reads = {method.name: method.reads for method in listed}
-            rangers = _SequenceRangers(create_rangers(context, listed), reads)
+            rangers = SequenceRangers(create_rangers(context, listed), reads)
         before = {
             name: ranges_in_frame(column, tracks, rows) for name, column in (measured or {}).items()
         }
         for name, ranges in rangers.measure(tracks, frame, before).items():
-            _store(columns[name], rows, ranges)
-    return {name: _without_empty_systematic(column) for name, column in columns.items()}
-
-
-class _SequenceRangers:
-    """Rangers of one sequence with the scale of its drive; `reads` are the names of the methods
-    that each reads.
-    """
-
-    def __init__(self, rangers: Mapping[str, Ranger], reads: Mapping[str, Collection[str]]) -> None:
-        self._rangers, self._reads = rangers, reads
-        self._scale = DriveScale()
-
-    def measure(
-        self, tracks: Tracks, frame: Frame, before: Mapping[str, Ranges]
-    ) -> dict[str, Ranges]:
-        """Ranges of the next frame, by name; `before` are those of methods measured before."""
-        measured: dict[str, Ranges] = {}
-        evidence: list[ScaleEvidence] = []
-        for name, ranger in self._rangers.items():
-            known = {**before, **measured}
-            others = {other: known[other] for other in self._reads[name] if other in known}
-            in_frame = ranger.measure_at_scale(tracks, frame, others, self._scale)
-            if in_frame.evidence:
-                evidence.append(in_frame.evidence)
-            measured[name] = checked_ranges(name, in_frame.ranges, tracks)
-        self._scale = self._scale.after(evidence, frame.time_s)
-        return measured
-
-
-def _unmeasured(n: int) -> MethodColumn:
-    return MethodColumn(*np.full((3, n), np.nan))
-
-
-def _store(column: MethodColumn, rows: IntArray, ranges: Ranges) -> None:
-    """Store the ranges of a frame in the column's rows."""
-    column.distance_m[rows], column.sigma_m[rows] = ranges.distance_m, ranges.sigma_m
-    if column.sigma_systematic_m is not None and ranges.sigma_systematic_m is not None:
-        column.sigma_systematic_m[rows] = ranges.sigma_systematic_m
-
-
-def _without_empty_systematic(column: MethodColumn) -> MethodColumn:
-    systematic_m = column.sigma_systematic_m
-    if systematic_m is None or np.isfinite(systematic_m).any():
-        return column
-    return replace(column, sigma_systematic_m=None)
+            store(columns[name], rows, ranges)
+    return {name: without_empty_systematic(column) for name, column in columns.items()}
 
 
 def fused_column(boxes: BoxSet, measured: Mapping[str, MethodColumn]) -> MethodColumn:
@@ -198,12 +244,6 @@ def fused_column(boxes: BoxSet, measured: Mapping[str, MethodColumn]) -> MethodC
     return fused
 
 
-def ranges_in_frame(column: MethodColumn, tracks: Tracks, rows: IntArray) -> Ranges:
-    """Ranges of the tracks of one frame, whose row indices are `rows`."""
-    systematic_m = None if column.sigma_systematic_m is None else column.sigma_systematic_m[rows]
-    return Ranges(tracks.track_id, column.distance_m[rows], column.sigma_m[rows], systematic_m)
-
-
 def size_fitter(method: RangingMethod, options: MethodOptions) -> cross_validation.Fitter:
     """Fitter of a method that uses a size model, with priors fitted to the training boxes."""
 
@@ -217,25 +257,3 @@ def size_fitter(method: RangingMethod, options: MethodOptions) -> cross_validati
         return lambda boxes: ranger_columns(boxes, [method], options, size_model=model)[method.name]
 
     return fit
-
-
-def as_frames(boxes: BoxSet, class_id: IntArray) -> Iterator[tuple[IntArray, Tracks, Frame, bool]]:
-    """For each frame: row indices, tracks, blank image of the right size, and whether the frame
-    starts a sequence.
-
-    Labels without identities belong to separate images, each of which is a sequence.
-    """
-    sequence = -1
-    for rows in frame_rows(boxes):
-        n = len(rows)
-        label_id = boxes.track_id[rows]
-        is_image = bool((label_id < 0).any())
-        track_id = np.arange(1, n + 1) if is_image else label_id + 1
-        tracks = Tracks(
-            track_id, boxes.xyxy_px[rows], class_id[rows], np.ones(n), np.ones(n, np.bool_)
-        )
-        width_px, height_px = boxes.size_px[rows[0]].tolist()
-        blank = np.broadcast_to(np.zeros(1, np.uint8), (height_px, width_px, 3))
-        frame = Frame(int(boxes.frame[rows[0]]), float(boxes.time_s[rows[0]]), blank, None)
-        yield rows, tracks, frame, is_image or int(boxes.sequence[rows[0]]) != sequence
-        sequence = int(boxes.sequence[rows[0]])

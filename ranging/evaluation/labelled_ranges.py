@@ -1,6 +1,6 @@
-"""Evaluation of box-only methods on labelled boxes with known distances."""
+"""Evaluation of ranging methods on labelled boxes with known distances."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,10 +14,17 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import quoted, read_text
 from track_range.ranging.evaluation import box_evaluation
 from track_range.ranging.evaluation.box_filters import filtered
-from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by, method_names
+from track_range.ranging.evaluation.box_methods import (
+    MethodOptions,
+    check_methods,
+    measured_by,
+    method_names,
+)
+from track_range.ranging.evaluation.image_methods import MethodInputs
 from track_range.ranging.evaluation.settings import RangeEvaluationSettings
 from track_range.ranging.fitting.cross_validation import folds
 from track_range.ranging.fitting.prior_fit import STANDARD_SIZES
+from track_range.ranging.registry import method_of
 from track_range.ranging.size_models.plain_curves import PLAIN_CURVES
 from track_range.ranging.truth.errors import MethodColumn
 from track_range.ranging.truth.frame_times import TimeSource
@@ -36,19 +43,25 @@ _TRUTH: Mapping[str, str] = {  # definitions of the true distance
 }
 
 
-def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
+def evaluate_ranges(
+    settings: RangeEvaluationSettings, inputs: MethodInputs | None = None
+) -> dict[str, Any]:
     """Errors and calibration of sigma per method and class, with the settings and notes, as JSON
     values.
 
-    Raises LabelFileError, RigError, CurveError: labels, calibration or curves cannot be used;
-    UsageError: an unknown method, or settings that contradict each other.
+    `inputs` are the images and networks of the settings, opened by the caller; None = none. Raises
+    LabelFileError, RigError, CurveError: labels, calibration or curves cannot be used;
+    LabelledImageError: the images cannot be used; MethodError: a method cannot be loaded, or cannot
+    measure; UsageError: an unknown method, or settings that contradict each other.
     """
-    settings = _with_split(settings)
-    names = tuple(name for name in settings.methods if name)
-    _check(settings, names)
+    settings, inputs = _with_split(settings), inputs or MethodInputs()
+    names = tuple(_registered(name) for name in settings.methods if name)
+    _check(settings)
+    check_methods(names, inputs, settings.camera_height_m)
     boxes = _boxes(settings, settings.frames)
     train = _training_boxes(settings, boxes)
-    columns = measured_by(names or method_names(), boxes, train, _method_options(settings))
+    names = names or method_names(inputs, settings.camera_height_m)
+    columns = measured_by(names, boxes, train, _method_options(settings), inputs)
     if settings.truth == "centre":
         columns = _at_centres(columns, boxes)
     boxes = boxes.with_reference()
@@ -82,10 +95,18 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
         "n_sequences": len(boxes.sequence_names),
         "time_step_s": boxes.time_step_s,
         "methods": methods,
+        "comparison": box_evaluation.comparison(boxes, measured, settings.seed),
         "notes": [*_notes(settings, len(boxes.sequence_names), n_folds), *boxes.notes],
         "literature": box_evaluation.literature_metrics(boxes, measured),
         "risk_coverage": {name: curves for name, curves in risks.items() if curves},
     }
+
+
+def _registered(name: str) -> str:
+    """The name of a method, or of methods joined by +, of which those by MODULE:OBJECT are
+    registered.
+    """
+    return "+".join(method_of(part).name if ":" in part else part for part in name.split("+"))
 
 
 def _training_boxes(settings: RangeEvaluationSettings, boxes: BoxSet) -> BoxSet:
@@ -155,15 +176,16 @@ def centre_offset_m(class_name: npt.NDArray[np.str_], xyxy_px: FloatArray) -> Fl
     return np.asarray(((1 - wide) * sizes[:, 2] + wide * sizes[:, 1]) / 2)
 
 
-def _check(settings: RangeEvaluationSettings, names: Sequence[str]) -> None:
-    """UsageError for unknown methods, and for settings that contradict each other."""
+def _check(settings: RangeEvaluationSettings) -> None:
+    """UsageError for settings that contradict each other."""
     is_fitted = settings.cross_validate or settings.same_drive
     is_refitted, fit_frames = settings.fit_frames is not None, settings.fit_frames
-    unknown = ",".join(name for name in names if name not in method_names())
     is_rrc = settings.boxes.startswith("rrc:") and settings.boxes != "rrc:"
     has_lidar = settings.velodyne is not None
     faults = {
-        f"--method {unknown}: expected methods from {', '.join(method_names())}.": unknown != "",
+        "--right-images: expected the images of the left cameras too; give them with --images.": (
+            settings.right_images is not None and settings.images is None
+        ),
         f"--boxes {settings.boxes}: expected labels or rrc:DIR.": (
             settings.boxes != "labels" and not is_rrc
         ),

@@ -47,6 +47,24 @@ FrameRateField = Annotated[
         le=1000.0,
     ),
 ]
+DepthModelField = Annotated[
+    tuple[Path, ...],
+    option(
+        "Network that gives the depth of each pixel of one image, metric or relative: the method "
+        "depth; repeat the option for further networks, with the names of their files: depth-NAME.",
+        metavar="FILE.onnx",
+        is_repeated=True,
+    ),
+]
+StereoModelField = Annotated[
+    tuple[Path, ...],
+    option(
+        "Network that gives the disparity of each pixel of a rectified pair: the method disparity; "
+        "repeat the option for further networks, with the names of their files: disparity-NAME.",
+        metavar="FILE.onnx",
+        is_repeated=True,
+    ),
+]
 
 
 class RangeEvaluationSettings(Options):
@@ -137,8 +155,36 @@ class RangeEvaluationSettings(Options):
     ] = None
     methods: Annotated[
         tuple[str, ...],
-        option("Ranging methods to evaluate (default: all).", flag="--method", metavar="A,B,..."),
+        option(
+            "Ranging methods to evaluate: names, several joined by + for their fusion, or "
+            "MODULE:OBJECT of a RangingMethod (default: all that can measure).",
+            metavar="A,B,...",
+            old_names=("method",),
+        ),
     ] = ()
+    images: Annotated[
+        Path | None,
+        option(
+            "Images of the labels, for methods that need them: a folder with a folder of PNG or JPG "
+            "images, or a video, for each sequence, named like the labels (the images or the video "
+            "themselves for one file of labels).",
+            metavar="DIR",
+        ),
+    ] = None
+    right_images: Annotated[
+        Path | None,
+        option("The same of the right cameras, for methods that need a pair.", metavar="DIR"),
+    ] = None
+    align: Annotated[
+        str,
+        option(
+            "Disparity correction of the pairs: estimated from their images as in a run, none (off), "
+            "or an alignment file.",
+            metavar="auto|off|FILE",
+        ),
+    ] = "auto"
+    depth_model: DepthModelField = ()
+    stereo_model: StereoModelField = ()
     curves: Annotated[
         Path | None,
         option("Size curves of the mono method (default: the packaged curves).", metavar="FILE"),

@@ -125,6 +125,8 @@ MOST_STATEMENTS = {
     # methods by the name of their object (19)
     # depth and stereo networks in files of the user: formats, inputs, outputs (300)
     # depth networks as a method, with the factor and the shape of their errors in a drive (260)
+    # methods that need images or a pair, on labelled boxes, any fusion of methods, and differences of
+    # methods with their noise (100)
     "ranging": 9_464,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
@@ -155,6 +157,7 @@ MOST_STATEMENTS = {
     # events of a fleet that meet a condition (41), scenarios of events, and notes of a dry run (10)
     # the command of the plane of the road, and what a fixed camera prints (20)
     # a condition without a folder (4)
+    # methods of labelled boxes compared, with the progress of their images (9)
     "cli": 2_612,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
@@ -166,6 +169,7 @@ MOST_STATEMENTS = {
     # a finished run against ground truth (35)
     # intervals of tracks and motion (21)
     # limits of figures (99)
+    # images of labelled sequences (31)
     "evaluation": 2_019,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     # earlier names of columns (4)
@@ -185,6 +189,7 @@ MOST_STATEMENTS = {
     # the block bootstrap of all figures (89)
     # the stage of an option (6)
     # notes with a code, severity and sensor (25)
+    # differences of methods on the same objects, and which are more than noise (34)
     "foundation": 2_062,
     # each stage has a frozen output, and `FrameResult` consists of them (165); the detection and the
     # scale report (9)
@@ -285,6 +290,7 @@ MOST_STATEMENTS = {
     # moments of a video, and the time of a run without tracks (6)
     # counts and speeds on the overlay, in the report and printed (157)
     # names of fixed cameras (4)
+    # the table of methods that are compared (29)
     # a warned contact without a supported time, and distances of unknown scale (8)
     "views": 2_924,
     "track_range": 108,  # a module of errors and one of evaluations, each with its names for type checkers (18)

@@ -12,6 +12,7 @@ from track_range.evaluation.events.settings import EventEvaluationSettings
 from track_range.evaluation.limits import CheckSettings, check as _check
 from track_range.evaluation.motion.evaluate import evaluate_motion as _evaluate_motion
 from track_range.evaluation.motion.settings import MotionEvaluationSettings
+from track_range.evaluation.range_evaluation import evaluate_ranges as _evaluate_ranges
 from track_range.evaluation.run_evaluation import (
     RunEvaluationSettings,
     evaluate_run as _evaluate_run,
@@ -20,24 +21,24 @@ from track_range.evaluation.sequences.evaluation import evaluate_tracks as _eval
 from track_range.evaluation.sequences.settings import TrackEvaluationSettings
 from track_range.evaluation.stereo_evaluation import evaluate_stereo as _evaluate_stereo
 from track_range.foundation.schemas.keywords import KeywordsInErrors
-from track_range.ranging.evaluation.labelled_ranges import evaluate_ranges as _evaluate_ranges
 from track_range.ranging.evaluation.settings import RangeEvaluationSettings
 
 
 @KeywordsInErrors(RangeEvaluationSettings)
 def evaluate_ranges(labels: str | Path, calib: str | Path, **options: Any) -> dict[str, Any]:
-    """Distance errors of the methods that need only boxes, on KITTI labels; like `track-range
-    evaluate ranges --json`.
+    """Distance errors of ranging methods on KITTI labels, with or without their images; like
+    `track-range evaluate ranges --json`.
 
     Args:
         labels: folder of KITTI tracking labels, NAME.txt for each sequence.
         calib: folder of KITTI calibration files with the same names.
         options: options of the command, with underscores: `noise_px=2`, `cross_validate=True`,
-            `filter="default"`.
+            `filter="default"`, `images="image_02"`, `depth_model=["network.onnx"]`.
 
     Raises:
         UsageError: an option is unknown or invalid.
-        LabelFileError, RigError, CurveError: a file cannot be used.
+        LabelFileError, RigError, CurveError, VideoError, LabelledImageError, MethodError: a file, an
+            image or a method cannot be used.
     """
     return _evaluate_ranges(
         RangeEvaluationSettings.of({"labels": labels, "calib": calib, **options})

@@ -21,11 +21,10 @@ from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.inputs.road_sets import KITTI, KITTI_HEIGHT_M, RoadSet, road_set
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.evaluation.box_evaluation import figures
+from track_range.ranging.evaluation.box_frames import as_frames, ranges_in_frame
 from track_range.ranging.evaluation.box_methods import (
     MethodOptions,
-    as_frames,
     measured_by,
-    ranges_in_frame,
 )
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.measurement.ranges import Ranges

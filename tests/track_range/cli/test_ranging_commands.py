@@ -149,7 +149,7 @@ def test_packaged_curves_and_chosen_methods(cli, folders, tmp_path):
 @pytest.mark.parametrize(
     ("options", "status", "message"),
     [
-        (("--method", "mono,radar"), 2, "--method radar: "),
+        (("--method", "mono,radar"), 2, "--methods radar: "),
         (("--boxes", "other"), 2, "--boxes other: "),
         (("--boxes", "rrc:nowhere"), 1, "DIR/Car"),
         (("--cross-validate", "--curves", "c.json"), 2, "--curves: "),

@@ -37,11 +37,12 @@ def evaluate_motion(settings: MotionEvaluationSettings) -> dict[str, Any]:
             region=settings.region,
         )
         known = {"is_ego_known": settings.ego == "poses", "look_ahead": settings.look_ahead}
-        measured = measured_motion(truth, settings.method, options, **known)
+        measured = measured_motion(truth, settings.methods, options, **known)
         figures, note = {}, f"Ego speed: {settings.ego}."
-        names = ("boxes", "noise_px", "seed", "method", "region", "ego", "look_ahead")
+        names = ("boxes", "noise_px", "seed", "region", "ego", "look_ahead")
         shown |= {name: getattr(settings, name) for name in names} | {
-            "cross_validated": settings.cross_validate
+            "method": settings.methods,
+            "cross_validated": settings.cross_validate,
         }
     return {
         **shown,

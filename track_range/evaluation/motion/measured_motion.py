@@ -17,17 +17,17 @@ from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.errors import UsageError
 from track_range.pipeline.filtering import FilterStage
 from track_range.pipeline.ranging import FrameRanges
+from track_range.ranging.evaluation.box_frames import as_frames, ranges_in_frame
 from track_range.ranging.evaluation.box_methods import (
     MethodOptions,
-    as_frames,
     box_methods,
     measured_by,
-    ranges_in_frame,
 )
 from track_range.ranging.filtering.distance_filter import FilteredRanges, time_to_collision
 from track_range.ranging.filtering.lateral_motion import LateralMotion
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.registry import method_of
 from track_range.ranging.truth.errors import MethodColumn
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.world.ego_path import EgoPose
@@ -104,10 +104,11 @@ def measured_motion(
     With `look_ahead`, closing speeds and times to collision use all frames of a sequence, instead
     of the frames so far.
     """
-    names, known = method.split("+"), [listed.name for listed in box_methods()]
+    names = [method_of(part).name if ":" in part else part for part in method.split("+")]
+    known = [listed.name for listed in box_methods()]
     if not set(names) <= set(known):
         raise UsageError(
-            f"--method {method}: expected {' or '.join(known)}, or several methods joined by +."
+            f"--methods {method}: expected {' or '.join(known)}, or several methods joined by +."
         )
     boxes = motion.boxes
     columns = measured_by(names, boxes, boxes, options)

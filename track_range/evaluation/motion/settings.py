@@ -54,12 +54,13 @@ class MotionEvaluationSettings(Options):
     boxes: BoxesField = "labels"
     noise_px: NoiseField = 0.0
     seed: NoiseSeedField = 0
-    method: Annotated[
+    methods: Annotated[
         str,
         option(
-            "Ranging method that needs only boxes, or several methods joined by +, which are "
-            "fused.",
+            "Ranging method that needs only boxes: a name, or MODULE:OBJECT of a RangingMethod; "
+            "several joined by + are fused.",
             metavar="NAME[+NAME]",
+            old_names=("method",),
         ),
     ] = "mono"
     region: RegionField = "unknown"

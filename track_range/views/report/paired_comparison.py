@@ -11,14 +11,13 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.bootstrap import Resamples, interval
+from track_range.foundation.paired_differences import FEWEST_BLOCKS
 from track_range.ranging.truth.errors import MethodColumn, distance_statistics
 from track_range.results.rows.rows import Rows
 from track_range.views.tables import NOTHING, WITHIN_1_SIGMA, Cell, Grid
 
 NO_DIFFERENCE = "no difference within noise"
-# tracks of a result: that five of five tracks agree has a probability of 6 % by chance
-_FEWEST_TRACKS = 6
-TOO_FEW = f"too few tracks ({{n}} of at least {_FEWEST_TRACKS})"
+TOO_FEW = f"too few tracks ({{n}} of at least {FEWEST_BLOCKS})"
 _SAME_TRUTH_M = 1e-6  # largest difference of the true distances of one label
 
 # heading and key of a figure, its format, and what is smaller where the figure is better
@@ -87,7 +86,7 @@ def _method_rows(
     resamples = Resamples.of(track, seed=seed, rows=both)
     first, second = (distance_statistics(column, true_m, both) for column in columns)
     n_tracks = len(np.unique(track[both]))
-    has_few = n_tracks < _FEWEST_TRACKS
+    has_few = n_tracks < FEWEST_BLOCKS
     for heading, key, pattern, cost in _FIGURES:
         pair = first[key], second[key]
         values = [value for statistic in pair if (value := statistic.figure()) is not None]

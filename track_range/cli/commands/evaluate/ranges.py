@@ -1,17 +1,20 @@
 """`track-range evaluate ranges`: distance errors of the ranging methods on labelled boxes."""
 
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 from track_range.cli.commands.evaluate import result_files
 from track_range.cli.shared.console import console, print_grid, print_notes
 from track_range.cli.shared.parameters import command
+from track_range.evaluation.range_evaluation import evaluate_ranges
 from track_range.foundation.files.output_files import write_json, write_text
 from track_range.foundation.schemas.options import option
-from track_range.ranging.evaluation.labelled_ranges import evaluate_ranges
 from track_range.ranging.evaluation.settings import RangeEvaluationSettings
+from track_range.run.progress import step_progress
 from track_range.views import tables
+from track_range.views.method_comparison import comparison_grid, unmarked
 
 
 class RangesOptions(RangeEvaluationSettings):
@@ -24,12 +27,13 @@ class RangesOptions(RangeEvaluationSettings):
 
 def _ranges(options: RangesOptions) -> None:
     result_files.check_result_files(options)
-    figures = evaluate_ranges(options)
+    figures = evaluate_ranges(options, partial(step_progress, console))
     curves = _curves(figures)
     grids = [
-        *_grids(figures),
+        *map(unmarked, _grids(figures)),
+        *_comparison_grids(figures),
         *_drive_grids(figures),
-        *_literature_grids(figures),
+        *map(unmarked, _literature_grids(figures)),
         *(result_files.risk_grids(curves) if curves else ()),
     ]
     print_grid(console, *grids)
@@ -67,6 +71,15 @@ def _grids(figures: Mapping[str, Any]) -> list[tables.Grid]:
         n_tracks = max(int(row["n_tracks"]) for row in rows.values())
         grids.append(tables.method_grid(f"{kind}: {n_tracks} tracks", rows, _COLUMNS))
     return grids
+
+
+def _comparison_grids(figures: Mapping[str, Any]) -> Iterator[tables.Grid]:
+    """A table per class with the differences of the methods on common boxes."""
+    key = "median_relative_error_pct"
+    for kind, compared in figures["comparison"].items():
+        title = f"{kind}, on {compared['n_common']} of {compared['n']} boxes that all measured"
+        n_measured = compared["n_measured"]
+        yield comparison_grid(title, compared, n_measured, key=key, heading="median %")
 
 
 def _drive_grids(figures: Mapping[str, Any]) -> Iterator[tables.Grid]:

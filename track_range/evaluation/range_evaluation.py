@@ -1,0 +1,81 @@
+"""Evaluation of ranging methods on labelled boxes, with the images of the labels if they are given."""
+
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from track_range.foundation.progress import StepProgress, no_progress
+from track_range.ranging.evaluation.image_methods import (
+    LabelledImageError,
+    MethodInputs,
+    OpenedSequence,
+)
+from track_range.ranging.evaluation.labelled_ranges import evaluate_ranges as _evaluate_ranges
+from track_range.ranging.evaluation.settings import RangeEvaluationSettings
+from track_range.ranging.truth.labelled_boxes import file_in
+from track_range.recording.recording import open_recording
+
+
+def evaluate_ranges(
+    settings: RangeEvaluationSettings, progress: StepProgress = no_progress
+) -> dict[str, Any]:
+    """Errors and calibration of sigma per method and class, as plain values for JSON; see
+    `ranging.evaluation.labelled_ranges`.
+
+    Raises VideoError besides: an image cannot be read.
+    """
+    images = None
+    if settings.images is not None:
+        images = SequenceImages(
+            settings.images,
+            settings.right_images,
+            calib=settings.calib,
+            align=settings.align,
+            is_one=settings.labels.is_file(),
+        )
+    return _evaluate_ranges(settings, MethodInputs(images=images, progress=progress))
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceImages:
+    """Images in folders of sequences, or videos, that are named like the files of labels."""
+
+    left: Path
+    right: Path | None
+    calib: Path  # folder of calibration files of these names, or the file of all sequences
+    align: str  # correction of the disparities of pairs: "auto", "off" or a file
+    is_one: bool  # whether there is one sequence, whose images may be the folder or video itself
+
+    @property
+    def has_pairs(self) -> bool:
+        """See `LabelledImages`."""
+        return self.right is not None
+
+    @contextmanager
+    def opened(self, name: str) -> Iterator[OpenedSequence]:
+        """See `LabelledImages`; raises LabelledImageError if the sequence has no images."""
+        left = self._images(self.left, name, "--images")
+        right = None if self.right is None else self._images(self.right, name, "--right-images")
+        recording = open_recording(
+            left,
+            right,
+            rig=file_in(self.calib, f"{name}.txt"),
+            align=self.align,
+            has_checks=False,
+        )
+        with closing(recording):
+            yield OpenedSequence(str(left), recording.frames, recording.camera, recording.rig)
+
+    def _images(self, place: Path, name: str, option: str) -> Path:
+        inside = sorted(place.iterdir()) if place.is_dir() else []
+        named = [file for file in inside if name in (file.name, file.stem)]
+        if named:
+            return named[0]
+        if self.is_one and place.exists():
+            return place
+        raise LabelledImageError(
+            f"{option} {place}: expected the images of the labels {name}.txt in a folder {name}, or a "
+            f"video such as {name}.mp4, found neither."
+        )
