@@ -127,7 +127,7 @@ MOST_STATEMENTS = {
     # depth networks as a method, with the factor and the shape of their errors in a drive (260)
     # methods that need images or a pair, on labelled boxes, any fusion of methods, and differences of
     # methods with their noise (100)
-    "ranging": 9_464,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 9_614,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
     # `check` (4)
@@ -158,7 +158,7 @@ MOST_STATEMENTS = {
     # the command of the plane of the road, and what a fixed camera prints (20)
     # a condition without a folder (4)
     # methods of labelled boxes compared, with the progress of their images (9)
-    "cli": 2_612,
+    "cli": 2_621,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (143), several drives together, and intervals of rates (49)
@@ -170,7 +170,7 @@ MOST_STATEMENTS = {
     # intervals of tracks and motion (21)
     # limits of figures (99)
     # images of labelled sequences (31)
-    "evaluation": 2_019,  # times and region of labelled motion, and every class of nuScenes (10)
+    "evaluation": 2_060,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     # earlier names of columns (4)
     # clips from the first stage that changed: keys, boxes, rows and poses that are kept (345), and a
@@ -190,7 +190,7 @@ MOST_STATEMENTS = {
     # the stage of an option (6)
     # notes with a code, severity and sensor (25)
     # differences of methods on the same objects, and which are more than noise (34)
-    "foundation": 2_062,
+    "foundation": 2_098,
     # each stage has a frozen output, and `FrameResult` consists of them (165); the detection and the
     # scale report (9)
     # the way of a repeated image (45); the scale of a pair, corrected in one place (7); the
@@ -292,7 +292,7 @@ MOST_STATEMENTS = {
     # names of fixed cameras (4)
     # the table of methods that are compared (29)
     # a warned contact without a supported time, and distances of unknown scale (8)
-    "views": 2_924,
+    "views": 2_955,
     "track_range": 108,  # a module of errors and one of evaluations, each with its names for type checkers (18)
 }
 
