@@ -17,8 +17,14 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.foundation.bootstrap import CI95, Resamples, Statistic, figures_of
-from track_range.foundation.paired_differences import measured_by_all, paired_differences
+from track_range.foundation.bootstrap import (
+    CI95,
+    Resamples,
+    Statistic,
+    figures_of,
+    measured_by_all,
+    paired_differences,
+)
 from track_range.ranging.truth.errors import (
     BANDS_M,
     MethodColumn,

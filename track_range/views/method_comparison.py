@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from track_range.foundation.bootstrap import CI95
-from track_range.foundation.paired_differences import FEWEST_BLOCKS
+from track_range.foundation.bootstrap import CI95, FEWEST_BLOCKS
 from track_range.views.tables import NOTHING, Cell, Grid
 
 _HEADINGS = ("method", "boxes", "{}", "95 %", "difference", "95 % of difference", "result")

@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 
-from track_range.foundation.bootstrap import Resamples, Statistic
-from track_range.foundation.paired_differences import measured_by_all, paired_differences
+from track_range.foundation.bootstrap import (
+    Resamples,
+    Statistic,
+    measured_by_all,
+    paired_differences,
+)
 
 N_TRACKS, N_FRAMES = 12, 20
 TRACK = np.repeat(np.arange(N_TRACKS), N_FRAMES)

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.bootstrap import Resamples, interval
-from track_range.foundation.paired_differences import FEWEST_BLOCKS
+from track_range.foundation.bootstrap import FEWEST_BLOCKS, Resamples, interval
 from track_range.ranging.truth.errors import MethodColumn, distance_statistics
 from track_range.results.rows.rows import Rows
 from track_range.views.tables import NOTHING, WITHIN_1_SIGMA, Cell, Grid
