@@ -127,7 +127,7 @@ MOST_STATEMENTS = {
     # depth networks as a method, with the factor and the shape of their errors in a drive (260)
     # methods that need images or a pair, on labelled boxes, any fusion of methods, and differences of
     # methods with their noise (100)
-    "ranging": 9_614,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 9_613,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
     # `check` (4)
@@ -190,7 +190,7 @@ MOST_STATEMENTS = {
     # the stage of an option (6)
     # notes with a code, severity and sensor (25)
     # differences of methods on the same objects, and which are more than noise (34)
-    "foundation": 2_098,
+    "foundation": 2_093,
     # each stage has a frozen output, and `FrameResult` consists of them (165); the detection and the
     # scale report (9)
     # the way of a repeated image (45); the scale of a pair, corrected in one place (7); the
@@ -292,7 +292,7 @@ MOST_STATEMENTS = {
     # names of fixed cameras (4)
     # the table of methods that are compared (29)
     # a warned contact without a supported time, and distances of unknown scale (8)
-    "views": 2_955,
+    "views": 2_953,
     "track_range": 108,  # a module of errors and one of evaluations, each with its names for type checkers (18)
 }
 
