@@ -65,9 +65,7 @@ class NetworkInputs:
         self, images: dict[str, Image], placement: Placement, fx_px: float
     ) -> dict[str, npt.NDArray[Any]]:
         """All inputs by name, for images (H, W, 3), BGR, by content."""
-        fill = tuple(value * self._format.divisor for value in self._format.mean)
-        b, g, r = fill if self._format.colours == "bgr" else fill[::-1]
-        placed = {key: placement.placed(image, (b, g, r)) for key, image in images.items()}
+        placed = {key: placement.placed(image) for key, image in images.items()}
         blobs = {}
         for name, content in self.contents.items():
             if content in _IMAGES:
@@ -78,48 +76,30 @@ class NetworkInputs:
         return blobs
 
     def _contents(self) -> dict[str, Any]:
-        if self._format.inputs is not None:
-            contents = dict(self._format.inputs)
-            if contents.keys() != self._infos.keys():
-                raise NetworkError(
-                    f"{self._path}: expected the inputs {', '.join(contents)} of its format, found "
-                    f"{self._found()}; give `inputs` in its MODEL.yaml."
-                )
-        else:
-            contents = self._usual_contents()
-        found = {content for content in contents.values() if content in _WHOLE}
+        """The content of each input by name."""
+        names = list(self._infos)
+        given = self._format.inputs or self._usual_contents(names)
+        found = {content for content in given if content in _WHOLE}
         wanted = [{"image"}] if self._format.task == "depth" else [{"left", "right"}, {"pair"}]
-        if found not in wanted:
+        if len(given) != len(names) or found not in wanted:
+            texts = ", ".join(f"{name} {info.shape}" for name, info in self._infos.items())
             raise NetworkError(
-                f"{self._path}: expected inputs with the contents "
-                f"{' or '.join(' and '.join(sorted(one)) for one in wanted)}, found "
-                f"{self._found()}; give `inputs` in its MODEL.yaml, such as "
-                f"{self._example()}."
+                f"{self._path}: expected the inputs {' or '.join(map(_listed, wanted))}, found "
+                f"{len(names)}: {shortened(texts, 100)}; give the content of each as `inputs` in its "
+                "MODEL.yaml, such as `inputs: [image, intrinsics, 1800]` or `inputs: [right, left]`."
             )
-        return contents
+        return dict(zip(names, given, strict=True))
 
-    def _usual_contents(self) -> dict[str, Any]:
-        """The contents of inputs that are images alone."""
-        names = list(self._infos)
-        if self._format.task == "depth":
-            return {name: "image" for name in names if len(names) == 1}
+    def _usual_contents(self, names: list[str]) -> tuple[str, ...]:
+        """The contents of inputs that are images alone; () = they are not."""
         if len(names) == 1:
-            return {names[0]: "pair"}
-        if len(names) != 2:
-            return {}
-        has_right_first = "right" in names[0].lower() and "left" in names[1].lower()
-        order = names[::-1] if has_right_first else names
-        return dict(zip(order, ("left", "right"), strict=True))
-
-    def _example(self) -> str:
-        names = list(self._infos)
-        contents = ["image", "intrinsics"] if self._format.task == "depth" else ["left", "right"]
-        pairs = [f"{name}: {contents[min(i, 1)]}" for i, name in enumerate(names[:3])]
-        return f"`inputs: {{{', '.join(pairs)}}}`"
-
-    def _found(self) -> str:
-        texts = [f"{name} {info.shape}" for name, info in self._infos.items()]
-        return shortened(", ".join(texts), 100)
+            return ("image",) if self._format.task == "depth" else ("pair",)
+        if self._format.task == "depth" or len(names) != 2:
+            return ()
+        first, second = (name.lower() for name in names)
+        if "right" in first and "left" in second:
+            return "right", "left"
+        return "left", "right"
 
     def _image_shape(self, name: str) -> tuple[int | None, ...]:
         """The shape of an image input as four lengths, without the dimension of views."""
@@ -193,18 +173,18 @@ class NetworkInputs:
     ) -> npt.NDArray[Any]:
         """An input that is no image."""
         info = self._infos[name]
-        width = placement.input_hw[1]
         shape = [d if isinstance(d, int) else 1 for d in info.shape]
-        if content == "intrinsics":
-            focal = fx_px * placement.focal_scale
-            centre_y, centre_x = placement.centre
-            matrix = np.array([[focal, 0, centre_x], [0, focal, centre_y], [0, 0, 1]])
-            values = matrix[(None,) * (len(shape) - 2)]
-        elif content == "fov_x_deg":
-            fov = 2 * math.degrees(math.atan(width / (2 * fx_px * placement.focal_scale)))
-            values = np.full(shape, fov)
+        if content in ("intrinsics", "rays"):
+            values = placement.intrinsics(fx_px)
+            if content == "rays":
+                values = placement.rays(fx_px).transpose(2, 0, 1)
+            values = values[(None,) * (len(shape) - values.ndim)]
         elif content == "zeros":
             values = np.zeros(shape)
         else:
             values = np.full(shape, float(str(content)))
         return values.astype(_TYPES[info.type])
+
+
+def _listed(contents: set[str]) -> str:
+    return " and ".join(sorted(contents))

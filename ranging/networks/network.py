@@ -7,15 +7,17 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.models.onnx_session import OnnxNetwork, Runtime
-from track_range.foundation.arrays import FloatArray32, Image
-from track_range.foundation.files.input_files import shortened
+from track_range.foundation.arrays import FloatArray, FloatArray32, Image
 from track_range.ranging.measurement.dense_map import DenseMap, Quantity
 from track_range.ranging.networks.inputs import NetworkInputs
-from track_range.ranging.networks.network_format import NetworkError, Task
+from track_range.ranging.networks.network_format import MAX_SIDE_PX, NetworkError, Task
+from track_range.ranging.networks.output_check import OutputCheck
 from track_range.ranging.networks.placement import Placement
 from track_range.ranging.networks.recognition import check_task, format_of
 
-_MAX_OUTPUT_SIDE = 8192
+_MIN_MASK = 0.5  # of pixels with a depth
+# points for the shift of point maps, its steps, and the least depth in the unit of the points
+_N_FITTED, _N_STEPS, _MIN_Z = 4096, 10, 1e-3
 
 
 class _Network:
@@ -29,6 +31,7 @@ class _Network:
         self.inputs = NetworkInputs(self.session, self.format)
         self._names = [one.name for one in outputs]
         self._check_outputs()
+        self._check = OutputCheck(path, self.format.metric)
 
     @property
     def path(self) -> Path:
@@ -38,7 +41,7 @@ class _Network:
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences for the user, such as a device that is not available."""
-        return self.session.notes
+        return (*self.session.notes, *self._check.notes)
 
     @property
     def is_metric(self) -> bool:
@@ -76,25 +79,31 @@ class _Network:
 
     def _plane(self, outputs: dict[str, npt.NDArray[Any]], name: str | None) -> FloatArray32:
         """An output as (h, w): its first channel; NaN where it is not finite."""
+        return np.ascontiguousarray(self._channels(outputs, name)[0])
+
+    def _channels(self, outputs: dict[str, npt.NDArray[Any]], name: str | None) -> FloatArray32:
+        """An output as (channels, h, w), of the first image; NaN where it is not finite."""
         name = name or self._names[0]
         values = np.asarray(outputs[name], np.float32)
-        plane = _first_plane(values)
-        if plane is None or max(plane.shape) > _MAX_OUTPUT_SIDE:
-            shape = shortened(str(values.shape), 60)
+        shape = values.shape
+        while values.ndim > 3:
+            values = values[0]
+        if values.ndim == 3 and values.shape[2] <= 3 < values.shape[0]:
+            values = values.transpose(2, 0, 1)
+        if values.ndim == 2:
+            values = values[None]
+        if values.ndim != 3 or not values.size or max(values.shape) > MAX_SIDE_PX:
             raise NetworkError(
                 f"{self.path}: expected an output {name} [batch, 1, height, width], got {shape}."
             )
-        return np.where(np.isfinite(plane), plane, np.float32(np.nan))
+        return np.where(np.isfinite(values), values, np.float32(np.nan))
 
-
-def _first_plane(values: FloatArray32) -> FloatArray32 | None:
-    """The first (h, w) of an output whose channels are first or last; None = it has none."""
-    while values.ndim > 3:
-        values = values[0]
-    if values.ndim == 3:
-        channels_last = values.shape[2] <= 3 < values.shape[0]
-        values = values[..., 0] if channels_last else values[0]
-    return values if values.ndim == 2 and values.size else None
+    def _confidence(
+        self, outputs: dict[str, npt.NDArray[Any]], placement: Placement
+    ) -> FloatArray32 | None:
+        if self.format.confidence is None:
+            return None
+        return placement.of_the_image(self._plane(outputs, self.format.confidence).clip(0.0, 1.0))
 
 
 class DepthNetwork(_Network):
@@ -105,15 +114,40 @@ class DepthNetwork(_Network):
         in pixels; NaN where the network gives none.
         """
         placement, outputs = self._run({"image": image}, fx_px)
-        values = self._plane(outputs, self.format.output) * np.float32(self.format.scale)
+        if self.format.gives == "points":
+            values = self._of_points(outputs, placement, fx_px)
+        else:
+            values = self._plane(outputs, self.format.output)
+        values = values * np.float32(self.format.scale)
         if self.format.focal_px is not None:
-            ratio = fx_px * placement.focal_scale / self.format.focal_px
-            values *= np.float32(ratio if self.format.gives == "depth" else 1 / ratio)
+            ratio = fx_px * placement.scale_x / self.format.focal_px
+            values *= np.float32(1 / ratio if self.format.gives == "inverse_depth" else ratio)
+        if self.format.mask is not None:
+            values[~(self._plane(outputs, self.format.mask) >= _MIN_MASK)] = np.nan
         values = placement.of_the_image(values)
-        if self.format.metric or self.format.gives == "depth":
-            values[~(values > 0)] = np.nan
-        quantity: Quantity = "inverse_depth" if self.format.gives == "inverse_depth" else "depth"
-        return DenseMap(values, quantity, placement.image_hw, self.format.metric)
+        quantity: Quantity = "depth"
+        if self.format.gives == "inverse_depth":
+            quantity = "inverse_depth"
+        self._check.see(image, values, quantity)
+        confidence = self._confidence(outputs, placement)
+        return DenseMap(values, quantity, placement.image_hw, self.format.metric, confidence)
+
+    def _of_points(
+        self, outputs: dict[str, npt.NDArray[Any]], placement: Placement, fx_px: float
+    ) -> FloatArray32:
+        """(h, w) depth z of points x, y, z, in metres if the format has a factor."""
+        points = self._channels(outputs, self.format.output)
+        if len(points) != 3:
+            raise NetworkError(
+                f"{self.path}: expected points [batch, 3, height, width], got "
+                f"{outputs[self.format.output or self._names[0]].shape}."
+            )
+        z = points[2]
+        if self.format.affine_points:
+            z = z + shift_along_z(points, placement.rays(fx_px, (z.shape[0], z.shape[1])))
+        if self.format.factor is not None:
+            z = z * np.float32(np.asarray(outputs[self.format.factor]).flat[0])
+        return np.asarray(z, np.float32)
 
 
 class StereoNetwork(_Network):
@@ -129,10 +163,32 @@ class StereoNetwork(_Network):
             )
         placement, outputs = self._run({"left": left, "right": right}, float("nan"))
         values = self._plane(outputs, self.format.output)
-        values = values * np.float32(self.format.scale / placement.scale_x)
-        values = placement.of_the_image(values)
-        values[~(values > 0)] = np.nan
-        return DenseMap(values, "disparity", placement.image_hw, self.format.metric)
+        values = placement.of_the_image(values * np.float32(self.format.scale / placement.scale_x))
+        self._check.see(left, values, "disparity")
+        confidence = self._confidence(outputs, placement)
+        return DenseMap(values, "disparity", placement.image_hw, self.format.metric, confidence)
+
+
+def shift_along_z(points: FloatArray32, rays: FloatArray) -> np.float32:
+    """The length along z by which points (3, h, w) lie on the rays (h, w, 3) of their pixels.
+
+    The s of x / (z + s) = u, by least squares of x - u (z + s) with weights 1 / (z + s)^2 of the
+    step before, for x and y together.
+    """
+    step = max(1, points[2].size // _N_FITTED)
+    x = points[:2].reshape(2, -1)[:, ::step].astype(np.float64)
+    z = points[2].reshape(-1)[::step].astype(np.float64)
+    slopes = (rays[..., :2] / rays[..., 2:]).reshape(-1, 2)[::step].T
+    usable = np.isfinite(x).all(axis=0) & np.isfinite(z)
+    x, z, slopes = x[:, usable], z[usable], slopes[:, usable]
+    shift = 0.0
+    for _ in range(_N_STEPS):
+        weights = slopes**2 / np.maximum(z + shift, _MIN_Z) ** 2
+        total = weights.sum()
+        if not total:
+            break
+        shift = float((weights * (x / np.where(slopes, slopes, 1.0) - z)).sum() / total)
+    return np.float32(shift)
 
 
 def open_depth_network(path: Path, runtime: Runtime | None = None) -> DepthNetwork:

@@ -1,6 +1,5 @@
 """NetworkFormat: what a depth or stereo network takes and gives, as its row or its MODEL.yaml says."""
 
-from collections.abc import Mapping
 from typing import Annotated, Literal, Self, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
@@ -12,7 +11,7 @@ Task = Literal["depth", "stereo"]
 Gives = Literal["depth", "inverse_depth", "points", "disparity"]
 Fit = Literal["stretch", "letterbox", "pad"]
 Content = Literal[
-    "image", "left", "right", "pair", "left/2", "right/2", "intrinsics", "fov_x_deg", "zeros"
+    "image", "left", "right", "pair", "left/2", "right/2", "intrinsics", "rays", "zeros"
 ]
 
 MAX_SIDE_PX = 8192  # of an input
@@ -58,14 +57,15 @@ class NetworkFormat(BaseModel):
     confidence: str | None = None  # name of the output of a confidence 0..1
     factor: str | None = None  # name of an output of one value, by which the depth is multiplied
     mask: str | None = None  # name of an output that is below 0.5 where there is no depth
-    # content of each input by name; None = "image"; "left" and "right"; or "pair" of six channels
-    inputs: Mapping[str, Annotated[Content | float, BeforeValidator(_known_content)]] | None = None
+    # contents of the inputs in the file's order; None = "image"; "left" and "right" by their names;
+    # or "pair" of six channels
+    inputs: tuple[Annotated[Content | float, BeforeValidator(_known_content)], ...] | None = None
     colours: Literal["rgb", "bgr"] = "rgb"
     divisor: PositiveNumber = 255.0
     mean: _Triple = (0.0, 0.0, 0.0)
     std: _Positives = (1.0, 1.0, 1.0)
-    # "stretch" to the input; "letterbox": scaled, with padding of the mean; "pad": own pixels,
-    # reduced only where the input is smaller, and its border repeated
+    # "stretch" to the input; "letterbox": scaled, with grey around it; "pad": own pixels, reduced
+    # only where the input is smaller, and its border repeated
     fit: Fit = "stretch"
     multiple: _Side = 1  # of which sides of an input of variable size are multiples
     # number of pixels of an input of variable size; None = that of the image

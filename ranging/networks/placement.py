@@ -4,7 +4,6 @@ An image of (H, W) is resized to (h, w) and stands at the input's upper left cor
 a letterbox. The output covers the whole input, at its resolution or at another one.
 """
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,8 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.yolo.letterbox import input_hw_of_area
-from track_range.foundation.arrays import FloatArray32, Image
+from track_range.foundation.arrays import FloatArray, FloatArray32, Image
 from track_range.ranging.networks.network_format import Fit, NetworkFormat
+
+# of the padding of a letterbox: the mean of ImageNet, which most networks subtract
+_GREY_BGR = (104.0, 116.0, 124.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,21 +54,30 @@ class Placement:
         """Pixels of the input per pixel of the image, along x."""
         return self.resized_hw[1] / self.image_hw[1]
 
-    @property
-    def focal_scale(self) -> float:
-        """Focal length in pixels of the input per focal length in pixels of the image: the mean of
-        both axes.
+    def intrinsics(self, fx_px: float) -> FloatArray:
+        """(3, 3) camera matrix of the input, the corner of its first pixel at 0, for square pixels
+        and a principal point in the centre of the image.
         """
-        return math.sqrt(self.scale_x * self.resized_hw[0] / self.image_hw[0])
-
-    @property
-    def centre(self) -> tuple[float, float]:
-        """Row and column of the image's centre in the input, the corner of its first pixel at 0."""
         (top, left), (height, width) = self.top_left, self.resized_hw
-        return top + height / 2, left + width / 2
+        fy_px = fx_px * height / self.image_hw[0]
+        centre = left + width / 2, top + height / 2
+        return np.array([[fx_px * self.scale_x, 0, centre[0]], [0, fy_px, centre[1]], [0, 0, 1]])
 
-    def placed(self, image: Image, fill: tuple[float, float, float]) -> Image:
-        """The input's image (h, w, 3); `fill` is the colour of the padding of a letterbox."""
+    def rays(self, fx_px: float, hw: tuple[int, int] | None = None) -> FloatArray:
+        """(h, w, 3) unit vectors along the rays of the pixels of the input, or of an output of
+        `hw`.
+        """
+        h, w = hw or self.input_hw
+        x = (np.arange(w) + 0.5) * self.input_hw[1] / w
+        y = (np.arange(h) + 0.5) * self.input_hw[0] / h
+        matrix = self.intrinsics(fx_px)
+        slopes_x = np.broadcast_to((x - matrix[0, 2]) / matrix[0, 0], (h, w))
+        slopes_y = np.broadcast_to(((y - matrix[1, 2]) / matrix[1, 1])[:, None], (h, w))
+        rays = np.stack([slopes_x, slopes_y, np.ones((h, w))], axis=2)
+        return np.asarray(rays / np.linalg.norm(rays, axis=2, keepdims=True))
+
+    def placed(self, image: Image) -> Image:
+        """The input's image (h, w, 3)."""
         if image.ndim == 2:
             image = np.repeat(image[..., None], 3, axis=2)
         height, width = self.resized_hw
@@ -78,7 +89,7 @@ class Placement:
         bottom, right = self.input_hw[0] - height - top, self.input_hw[1] - width - left
         if top or left or bottom or right:
             border = cv2.BORDER_REPLICATE if self.fit == "pad" else cv2.BORDER_CONSTANT
-            padded = cv2.copyMakeBorder(image, top, bottom, left, right, border, value=fill)
+            padded = cv2.copyMakeBorder(image, top, bottom, left, right, border, value=_GREY_BGR)
             image = np.asarray(padded, np.uint8)
         return image
 

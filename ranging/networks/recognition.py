@@ -1,5 +1,6 @@
 """The format of a network's file: its `MODEL.yaml`, else its names where only one format has them."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,10 @@ from track_range.ranging.networks.network_format import NetworkError, NetworkFor
 
 _FORMAT = "format"  # key of MODEL.yaml that names the row it starts from
 _SEEN = 100  # characters of inputs and outputs in a message
+EXAMPLE = (
+    "`{task: depth, gives: depth, metric: true, colours: rgb, divisor: 255, "
+    "mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225], multiple: 14, area: 268324}`"
+)  # a filled-in MODEL.yaml in one line
 
 
 def settings_file(path: Path) -> Path:
@@ -18,7 +23,9 @@ def settings_file(path: Path) -> Path:
     return path.with_suffix(".yaml")
 
 
-def format_of(path: Path, inputs: list[Any], outputs: list[Any]) -> tuple[str, NetworkFormat]:
+def format_of(
+    path: Path, inputs: Sequence[Any], outputs: Sequence[Any]
+) -> tuple[str, NetworkFormat]:
     """Where the format is from, for display, and the format of the network in a file.
 
     Raises NetworkError if `MODEL.yaml` has a wrong key or value, or there is none and the names of
@@ -27,27 +34,39 @@ def format_of(path: Path, inputs: list[Any], outputs: list[Any]) -> tuple[str, N
     sidecar = settings_file(path)
     if sidecar.is_file():
         return _of_settings(sidecar, path)
-    names = frozenset(one.name for one in inputs), frozenset(one.name for one in outputs)
-    fitting = [name for name, row in FORMATS.items() if row.names == names]
-    if len(fitting) == 1:
-        return f"format {fitting[0]}, by its names", FORMATS[fitting[0]].format
+    fitting = fitting_formats(inputs, outputs)
+    if len(fitting) == 1 and (network := _usable(path, fitting[0])):
+        return f"format {fitting[0]}, by the names of inputs and outputs", network
     seen = shortened(", ".join(f"{one.name} {one.shape}" for one in (*inputs, *outputs)), _SEEN)
-    known = f"; its names are those of {' and '.join(fitting)}" if fitting else ""
-    raise NetworkError(
-        f"{path}: expected a network whose names tell what it gives, found {seen}{known}; write "
-        f"{sidecar.name} beside it, such as {example(fitting)}; see "
-        "docs/how-to/networks.md."
-    )
-
-
-def example(fitting: list[str]) -> str:
-    """A filled-in `MODEL.yaml` in one line."""
     if fitting:
-        return f"`format: {fitting[0]}`"
-    return (
-        "`{task: depth, gives: depth, metric: true, colours: rgb, divisor: 255, "
-        "mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225], multiple: 14, area: 268324}`"
+        lines = " or ".join(f"`format: {name}`" for name in fitting)
+        found = f"{seen}, as in {len(fitting)} formats; write {sidecar.name} with {lines}"
+    else:
+        found = f"{seen}; write {sidecar.name}, such as {EXAMPLE}"
+    raise NetworkError(
+        f"{path}: expected names of inputs and outputs that tell what the network gives, found "
+        f"{found} (docs/how-to/networks.md)."
     )
+
+
+def fitting_formats(inputs: Sequence[Any], outputs: Sequence[Any]) -> list[str]:
+    """Names of the formats whose exports have inputs and outputs of these names."""
+    taken = {one.name: "x".join(map(str, one.shape[-2:])) for one in inputs}
+    given = {one.name for one in outputs}
+
+    def fits(names: str) -> bool:
+        wanted, _, results = names.partition(" -> ")
+        texts = [f"{name}[{sides}]" if "[" in names else name for name, sides in taken.items()]
+        return wanted.split() == texts and set(results.split()) == given
+
+    return [name for name, row in FORMATS.items() if any(map(fits, row.names))]
+
+
+def _usable(path: Path, name: str) -> NetworkFormat:
+    row = FORMATS[name]
+    if row.format is None:
+        raise NetworkError(f"{path}: expected a whole network, found {row.refusal}.")
+    return row.format
 
 
 def _of_settings(sidecar: Path, path: Path) -> tuple[str, NetworkFormat]:
@@ -60,7 +79,7 @@ def _of_settings(sidecar: Path, path: Path) -> tuple[str, NetworkFormat]:
         if not isinstance(name, str) or name not in FORMATS:
             known = ", ".join(FORMATS)
             raise NetworkError(f"{sidecar}: 'format': expected {known}, found {quoted(name)}.")
-        start = FORMATS[name].format.model_dump()
+        start = _usable(path, name).model_dump()
     network = validated(NetworkFormat, {**start, **values}, sidecar, NetworkError)
     given = f"format {name}, from {sidecar.name}" if name else f"from {sidecar.name}"
     return given, network

@@ -57,7 +57,7 @@ def test_a_constant_network_with_a_fixed_input(tmp_path):
 def test_a_network_of_unknown_names_asks_for_its_settings(tmp_path):
     path = write_depth(tmp_path / "made.onnx")
     path.with_suffix(".yaml").unlink()
-    with pytest.raises(NetworkError, match=r"made\.onnx: .*write made\.yaml beside it, such as"):
+    with pytest.raises(NetworkError, match=r"made\.onnx: .*write made\.yaml with `format: depth-any"):
         open_depth_network(path)
 
 
