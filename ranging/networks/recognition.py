@@ -77,7 +77,7 @@ def _of_settings(sidecar: Path, path: Path) -> tuple[str, NetworkFormat]:
     start: dict[str, Any] = {}
     if name is not None:
         if not isinstance(name, str) or name not in FORMATS:
-            known = ", ".join(FORMATS)
+            known = ", ".join(key for key, row in FORMATS.items() if row.format)
             raise NetworkError(f"{sidecar}: 'format': expected {known}, found {quoted(name)}.")
         start = _usable(path, name).model_dump()
     network = validated(NetworkFormat, {**start, **values}, sidecar, NetworkError)

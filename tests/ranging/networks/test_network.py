@@ -57,7 +57,9 @@ def test_a_constant_network_with_a_fixed_input(tmp_path):
 def test_a_network_of_unknown_names_asks_for_its_settings(tmp_path):
     path = write_depth(tmp_path / "made.onnx")
     path.with_suffix(".yaml").unlink()
-    with pytest.raises(NetworkError, match=r"made\.onnx: .*write made\.yaml with `format: depth-any"):
+    with pytest.raises(
+        NetworkError, match=r"made\.onnx: .*write made\.yaml with `format: depth-any"
+    ):
         open_depth_network(path)
 
 
@@ -72,9 +74,11 @@ def test_a_stereo_network_is_no_depth_network(tmp_path):
         ("depth: 3", "'depth': this key is unknown"),
         ("gives: metres", "'gives': expected"),
         ("std: [1, 0, 1]", r"'std\.1': expected a number above 0, found 0"),
-        ("format: madas", "'format': expected depth, stereo"),
+        ("format: madas", "'format': expected depth-anything, .*found 'madas'"),
         ("scale: 0", "expected a scale other than 0"),
-        ("inputs: {image: right image}", "'inputs.image': expected image, left"),
+        ("inputs: [right image]", r"'inputs\.0': expected image, left"),
+        ("inputs: [image, 1]", "expected the inputs image, found 1"),
+        ("format: crestereo-second-pass", "expected a whole network, found the second pass"),
         ("output: disp", "'output': expected one of its outputs depth, found 'disp'"),
     ],
 )
