@@ -123,7 +123,8 @@ MOST_STATEMENTS = {
     # the plane of the road before a camera that stands still, its fit, its file, and the motion of
     # cuboids on it (572)
     # methods by the name of their object (19)
-    # depth and stereo networks in files of the user: formats, inputs, outputs (390); points, rays, and outputs that cannot be (120)
+    # depth and stereo networks in files of the user: formats, inputs and outputs (390); points, rays,
+    # and outputs that cannot be (120)
     # depth networks as a method, with the factor and the shape of their errors in a drive (260)
     # methods that need images or a pair, on labelled boxes, any fusion of methods, and differences of
     # methods with their noise (100)
