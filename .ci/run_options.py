@@ -105,7 +105,7 @@ def _kind(field: FieldInfo) -> str:
     if choices := choices_of(field):
         return f"Literal[{', '.join(map(json.dumps, choices))}]"
     if is_file(field):
-        return "str | Path"
+        return "str | Path | Sequence[str | Path]" if is_list(field) else "str | Path"
     if is_list(field):
         return f"str | Sequence[{get_args(kind)[0].__name__}]"
     return "Mapping[str, Any]" if get_origin(kind) is dict else str(kind.__name__)

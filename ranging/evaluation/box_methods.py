@@ -234,10 +234,10 @@ def ranger_columns(
 def fused_column(boxes: BoxSet, measured: Mapping[str, MethodColumn]) -> MethodColumn:
     """Fusion of the columns of several methods, frame by frame as in a run."""
     fused = MethodColumn(*np.full((2, len(boxes)), np.nan))
-    fusion = Fusion()
+    fusion = Fusion(methods(measured))
     for rows, tracks, frame, is_first in as_frames(boxes, boxes.class_id):
         if is_first:
-            fusion = Fusion()
+            fusion = Fusion(methods(measured))
         ranges = {name: ranges_in_frame(column, tracks, rows) for name, column in measured.items()}
         result = fusion.fuse(ranges, tracks.track_id, frame.time_s).ranges
         fused.distance_m[rows], fused.sigma_m[rows] = result.distance_m, result.sigma_m

@@ -132,10 +132,11 @@ class Fusion:
     """
 
     def __init__(self, methods: Sequence[RangingMethod] | None = None) -> None:
-        """Start without tracks; `methods` are the methods to fuse, None = all registered
-        methods.
+        """Start without tracks; `methods` are the methods to fuse, None = all registered methods
+        but optional ones. Methods that do not fuse are left out.
         """
-        self._model = ErrorModel.of(registry.methods() if methods is None else methods)
+        listed = registry.methods(()) if methods is None else methods
+        self._model = ErrorModel.of([method for method in listed if method.fuses])
         # pairs of methods of which the first is not used where the second measures
         self._superseded = np.argwhere(self._model.superseded_by).tolist()
         self._tracks = TrackState(TrackBiases.initial_column(self._model))

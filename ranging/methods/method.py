@@ -10,10 +10,10 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, get_args
 
 import numpy as np
 
@@ -87,6 +87,31 @@ class Measured(NamedTuple):
     by_network: NetworkDistances | None = None  # before their correction
 
 
+class OpenedNetwork(Protocol):
+    """A network that a ranger measures with.
+
+    Attributes:
+        path: its ONNX file.
+        notes: messages for the user, one sentence each.
+        described: how the file is understood, as JSON values by key, for summary.json.
+    """
+
+    @property
+    def path(self) -> Path:
+        """See the class."""
+        ...
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """See the class."""
+        ...
+
+    @property
+    def described(self) -> Mapping[str, Any]:
+        """See the class."""
+        ...
+
+
 class Ranger(ABC):
     """Measures the distance of each track of a frame; an implementation may have state per track
     id.
@@ -103,10 +128,13 @@ class Ranger(ABC):
             time of its stage.
         disparity: (H, W) dense disparity in px of the frame measured last, in the left image, NaN =
             unknown, for the overlay; None = the method computes none.
+        network: the network that it measures with, if any. A stored state of a pipeline does not
+            contain it, and a run adds its notes to those of the method.
     """
 
     background_s: float = 0.0
     disparity: FloatArray32 | None = None
+    network: OpenedNetwork | None = None
 
     @abstractmethod
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
@@ -281,6 +309,8 @@ class RangingMethod:
             stands still.
         fuses: False for a method that is only shown beside the others: its distances, and what it
             shows of the scale of the drive, are not part of `fused`.
+        is_optional: whether it measures only in runs that ask for it, by an option or by what they
+            record, so that only their files have its columns.
         is_filtered: whether it also has a filter over time (`NAME_kf_m`).
         details: names of further values of each track, in `Ranges.details`, perhaps with their
             meanings for the documentation; their columns are NAME_DETAIL.
@@ -298,6 +328,7 @@ class RangingMethod:
     is_scale_reference: bool = False
     measures_distance: bool = True
     fuses: bool = True
+    is_optional: bool = False
     is_filtered: bool = False
     uses_road_plane: bool = False
     details: Mapping[str, str] | tuple[str, ...] = field(default=(), hash=False)

@@ -146,7 +146,10 @@ def network_method(name: str) -> RangingMethod:
             return None
         from track_range.ranging.networks.network import open_depth_network  # onnxruntime
 
-        return NetworkDepthRanger(name, open_depth_network(path, context.runtime), context.camera)
+        network = open_depth_network(path, context.runtime)
+        ranger = NetworkDepthRanger(name, network, context.camera)
+        ranger.network = network
+        return ranger
 
     return RangingMethod(
         name=name,
@@ -162,6 +165,7 @@ def network_method(name: str) -> RangingMethod:
             ErrorSource("own", independent=0.35),
         ),
         fallback_for="mono",
+        is_optional=True,
     )
 
 

@@ -1,6 +1,7 @@
 """StageClock: time spent in each stage of a run."""
 
 import time
+from collections.abc import Collection
 from contextlib import AbstractContextManager
 from threading import Lock
 
@@ -10,9 +11,11 @@ from track_range.ranging.registry import methods
 _WALL_TIMED = ("detect",)  # stages that work in threads of a library, measured in wall-clock time
 
 
-def stage_names() -> tuple[str, ...]:
-    """Names of the stages of a run in their order; each ranging method is a stage."""
-    return (*FIRST_STAGES, *(method.name for method in methods()), *LAST_STAGES)
+def stage_names(optional: Collection[str] = ()) -> tuple[str, ...]:
+    """Names of the stages of a run in their order; each ranging method is a stage, an optional one if
+    it is named.
+    """
+    return (*FIRST_STAGES, *(method.name for method in methods(optional)), *LAST_STAGES)
 
 
 class StageClock:
@@ -20,16 +23,18 @@ class StageClock:
 
     Stages are measured in processor time of their thread, so that waiting for a core (stages have a
     lower priority than inference) does not count. Inference, which has its own threads, is measured
-    in wall-clock time.
+    in wall-clock time: the detector's, and that of the methods `with_network`.
     """
 
-    def __init__(self) -> None:
-        self.busy_s = dict.fromkeys(stage_names(), 0.0)  # seconds so far, by stage
+    def __init__(self, methods: Collection[str] = (), with_network: Collection[str] = ()) -> None:
+        """Start at zero; `methods` are those of the run."""
+        self.busy_s = dict.fromkeys(stage_names(methods), 0.0)  # seconds so far, by stage
+        self._wall_timed = frozenset((*_WALL_TIMED, *with_network))
         self._lock = Lock()
 
     def stage(self, name: str) -> AbstractContextManager[None]:
         """Add the time of the with-block to a stage."""
-        return _Stage(self, name)
+        return _Stage(self, name, is_wall_timed=name in self._wall_timed)
 
     def add(self, name: str, seconds: float) -> None:
         """Add seconds that were measured elsewhere to a stage."""
@@ -42,9 +47,9 @@ class _Stage(AbstractContextManager[None]):
 
     __slots__ = ("_clock", "_name", "_now_s", "_start_s")
 
-    def __init__(self, clock: StageClock, name: str) -> None:
+    def __init__(self, clock: StageClock, name: str, *, is_wall_timed: bool) -> None:
         self._clock, self._name = clock, name
-        self._now_s = time.perf_counter if name in _WALL_TIMED else time.thread_time
+        self._now_s = time.perf_counter if is_wall_timed else time.thread_time
 
     def __enter__(self) -> None:
         self._start_s = self._now_s()

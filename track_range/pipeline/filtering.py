@@ -1,7 +1,7 @@
 """FilterStage: distances, closing speeds and lateral positions of the tracks, filtered over time."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,14 +37,15 @@ FUSED_NOISE_FRACTION = (
 )
 
 
-def noise_shares() -> dict[str, float]:
+def noise_shares(optional: Collection[str] = ()) -> dict[str, float]:
     """Initial fraction of sigma that is independent between frames, for each distance that is
-    filtered over time.
+    filtered over time; of optional methods only of those that are named.
 
     The filters adapt it to their innovations. Fusion uses the declared error sources of the methods
     instead.
     """
-    filtered = {method.name: method.noise_share for method in methods() if method.is_filtered}
+    listed = methods(optional)
+    filtered = {method.name: method.noise_share for method in listed if method.is_filtered}
     return {**filtered, "fused": FUSED_NOISE_FRACTION}
 
 
@@ -103,20 +104,21 @@ class Approach:
 class FilterStage:
     """Filters the distances of all tracks of a drive.
 
-    `has_visible_boxes`: see `MethodContext`. With a `mounting` that does not look along the drive,
-    there is no time to collision.
+    `methods_of_run`: names of the methods; `has_visible_boxes`: see `MethodContext`. With a
+    `mounting` that does not look along the drive, there is no time to collision.
     """
 
     def __init__(
         self,
         camera: PinholeCamera,
         *,
+        methods_of_run: Collection[str] = (),
         has_visible_boxes: bool = False,
         mounting: Mounting | None = None,
     ) -> None:
         self._camera, self._has_visible_boxes = camera, has_visible_boxes
         self._is_ahead = looks_ahead(mounting)
-        self._distances = DistanceFilters(noise_shares())
+        self._distances = DistanceFilters(noise_shares(methods_of_run))
         self._by_size = [
             method.name for method in methods() if method.is_filtered and method.uses_size_model
         ]

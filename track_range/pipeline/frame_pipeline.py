@@ -102,7 +102,7 @@ class FramePipeline:
                 doubt, scale = self.doubting.update(tracks, measured, ego, lanes, scale, frame)
             measured = measured.at_scale(scale)
         with stage("fuse"):
-            fused = self.fusion.fuse(measured.ranges, tracks.track_id, time_s)
+            fused = self.fusion.fuse(measured.to_fuse, tracks.track_id, time_s)
         with stage("filter"):
             filtered = self.filtering.update(
                 tracks, measured, fused, ego.motion, time_s, unconfirmed=seen.unconfirmed
@@ -130,6 +130,7 @@ class FramePipeline:
             doubt=doubt,
             disparity=measured.disparity,
             candidates=detected.candidates,
+            shown_only=measured.shown_only,
         )
 
     def _measured(

@@ -172,6 +172,7 @@ class FrameResult:
         disparity: (H, W) disparities in px, NaN = unknown; None if dense stereo did not run.
         candidates: all detections of the frame, including other classes and low scores; None = not
             needed.
+        shown_only: names of the methods that are not part of the fused distance.
     """
 
     frame: Frame
@@ -185,6 +186,7 @@ class FrameResult:
     doubt: Doubt = field(default_factory=Doubt)
     disparity: FloatArray32 | None = None
     candidates: Detections | None = None
+    shown_only: frozenset[str] = frozenset()
 
     def __repr__(self) -> str:
         objects = self.objects

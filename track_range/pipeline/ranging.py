@@ -41,6 +41,15 @@ class FrameRanges:
     rig: RigScale = CALIBRATED  # by which `ranges` are corrected
     # those of depth networks before the correction of their scales
     by_network: Mapping[str, NetworkDistances] = field(default_factory=dict)
+    # methods that are not fused, and show nothing of the drive to the others
+    shown_only: frozenset[str] = frozenset()
+
+    @property
+    def to_fuse(self) -> Mapping[str, Ranges]:
+        """The distances that are fused, by name of the method."""
+        if not self.shown_only:
+            return self.ranges
+        return {name: one for name, one in self.ranges.items() if name not in self.shown_only}
 
     @property
     def by_size(self) -> Ranges | None:
@@ -52,7 +61,7 @@ class FrameRanges:
     @property
     def by_rig(self) -> Ranges | None:
         """Distances with the scale of the rig, before its correction; None = no method has it."""
-        return next(iter(self.of_rig.values()), None)
+        return next((self.of_rig[name] for name in self.of_rig if name in self.to_fuse), None)
 
     def at_scale(self, scale: DriveScale) -> Self:
         """The distances with the scales of the rig and of networks as this frame shows them."""
@@ -69,7 +78,8 @@ class FrameRanges:
     @property
     def growth(self) -> Growth | None:
         """Growth of the tracks in the images; None = no method measures it."""
-        return next((item.growth for item in self.ranges.values() if item.growth is not None), None)
+        listed = self.to_fuse.values()
+        return next((item.growth for item in listed if item.growth is not None), None)
 
 
 @dataclass(slots=True)
@@ -79,6 +89,7 @@ class RangingStage:
     """
 
     rangers: Mapping[str, Ranger]
+    shown_only: frozenset[str] = frozenset()  # names of those that are not fused
     _reads: Mapping[str, tuple[str, ...]] = field(
         default_factory=lambda: {method.name: method.reads for method in methods()}
     )
@@ -127,14 +138,14 @@ class RangingStage:
                     with _named(name, ranger, f", frame {frame.index}"):
                         raise
                 ranges[name] = checked_ranges(name, measured.ranges, tracks, self._n_invalid)
-            if measured.by_network is not None:
+            if measured.by_network is not None and name not in self.shown_only:
                 by_network[name] = measured.by_network
             shown = measured.evidence
             if name in self._of_rig:
                 of_rig[name] = ranges[name]
                 ranges[name] = scale.rig.corrected(ranges[name])
                 shown = None if shown is None else shown.of_rig(scale.rig)
-            if shown is not None:
+            if shown is not None and name not in self.shown_only:
                 evidence.append(shown)
         self._lanes = lanes
         by_registry = {name: of_rig[name] for name in self._of_rig if name in of_rig}
@@ -146,6 +157,7 @@ class RangingStage:
             self._disparity(),
             scale.rig,
             by_network,
+            self.shown_only,
         )
 
     def _update(self, ranger: Ranger, ego: Ego, lanes: LaneLines | None) -> None:
@@ -165,7 +177,7 @@ class RangingStage:
             with _named(name, ranger, f", frame {frame.index}"):
                 ranger.skip(frame)
         unmeasured = Ranges.unmeasured(tracks.track_id)
-        return FrameRanges(dict.fromkeys(self.rangers, unmeasured))
+        return FrameRanges(dict.fromkeys(self.rangers, unmeasured), shown_only=self.shown_only)
 
     def _disparity(self) -> FloatArray32 | None:
         disparities = (ranger.disparity for ranger in self.rangers.values())

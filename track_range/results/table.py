@@ -8,6 +8,7 @@ import shutil
 import tempfile
 import weakref
 from collections import deque
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
@@ -45,8 +46,11 @@ class RunTable:
     is shorter than one batch writes no file. The file is deleted with the `RunTable`.
     """
 
-    def __init__(self, *, rows_per_batch: int = ROWS_PER_BATCH) -> None:
-        self.columns = result_columns()
+    def __init__(
+        self, *, methods: Collection[str] = (), rows_per_batch: int = ROWS_PER_BATCH
+    ) -> None:
+        """A table without rows; `methods` are those that measure in the run."""
+        self.columns = result_columns(methods)
         self._reader = RowReader(self.columns)
         self._rows_per_batch = rows_per_batch
         self._buffer: list[FrameValues] = []
@@ -226,20 +230,26 @@ class RecentRows:
 
     def __init__(self, keep_s: float, finder: EventFinder | None = None) -> None:
         self._keep_s, self._finder = keep_s, finder or EventFinder()
-        self._columns = result_columns()
-        self._reader = RowReader(self._columns)
         self._rows: deque[tuple[float, FrameValues]] = deque()
+        self._read_methods(())
 
     def __getstate__(self) -> tuple[Any, ...]:
-        return self._keep_s, self._finder, self._rows
+        return self._keep_s, self._finder, self._rows, self._methods
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
-        self._keep_s, self._finder, self._rows = state
-        self._columns = result_columns()
+        self._keep_s, self._finder, self._rows, methods = state
+        self._read_methods(methods)
+
+    def _read_methods(self, methods: Collection[str]) -> None:
+        """Use the columns of these methods."""
+        self._methods = tuple(methods)
+        self._columns = result_columns(methods)
         self._reader = RowReader(self._columns)
 
     def add(self, result: FrameResult) -> None:
         """Add a frame, and forget rows and events that are older than `keep_s`."""
+        if not self._rows and self._methods != (measured := tuple(result.ranges)):
+            self._read_methods(measured)
         self._finder.update(result)
         if len(result.tracks):
             # copies, since the caller may change the arrays of the result

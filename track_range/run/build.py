@@ -23,16 +23,16 @@ from track_range.pipeline.doubting import DoubtStage
 from track_range.pipeline.ego import EgoStage, StandingCamera
 from track_range.pipeline.filtering import FilterStage
 from track_range.pipeline.frame_pipeline import FramePipeline
-from track_range.pipeline.ranging import RangingStage
 from track_range.pipeline.world import WorldStage
 from track_range.ranging.cameras.learnt_focal import FocalEstimate
 from track_range.ranging.cameras.scale_check import ScaleCheck
 from track_range.ranging.cameras.scale_evidence import speed_ratio_sigma
 from track_range.ranging.cameras.unknowns import CameraPriors, Unknown, camera_priors
+from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.methods.lane_width import usual_width
 from track_range.ranging.methods.method import MethodContext
-from track_range.ranging.registry import create_rangers, methods
+from track_range.ranging.registry import methods
 from track_range.ranging.size_models.class_sizes import ClassSizes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.region import Region
@@ -44,6 +44,7 @@ from track_range.ranging.world.road_plane import RoadPlane
 from track_range.recording.cameras.calibration import LensView, RecordingCalibration, calibration_of
 from track_range.recording.recording import Recording, open_recording
 from track_range.run.box_source import BoxSource, boxes_of
+from track_range.run.chosen_methods import clock_of, fused_methods, left_out, open_methods
 from track_range.run.options.opened import open_tracker_options
 from track_range.run.options.settings import PipelineOptions, RunSettings
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -128,7 +129,8 @@ def open_pipeline(
 
     CurveError: the size curves cannot be read; ModelError: the re-identification or lane network
     cannot be used; TrackerError: the tracker cannot be created; MethodError: ranging methods of
-    other packages depend on each other in a cycle.
+    other packages depend on each other in a cycle, or a
+    method that the settings ask for cannot measure; the errors of opening networks.
     """
     mounting = calibration.view_mounting(settings.mounting)
     is_ahead = looks_ahead(mounting) and not settings.static_camera
@@ -155,6 +157,7 @@ def open_pipeline(
     first_tracker, ego, alarming = of_scene()
     check = _scale_check(context, priors, calibration, settings.lane_width_m, background)
     mounted_m, used_m = _mounted_m(mounting, calibration), context.camera_height_m
+    ranging = open_methods(settings, context)
     return FramePipeline(
         detection=DetectionStage(
             detect=boxes.detect,
@@ -166,10 +169,14 @@ def open_pipeline(
         tracker=first_tracker,
         ego=ego,
         restarted=of_scene,
-        ranging=RangingStage(create_rangers(context)),
+        ranging=ranging,
+        fusion=Fusion(fused_methods(ranging)),
         doubting=DoubtStage(priors, check, _focal_before(calibration)),
         filtering=FilterStage(
-            camera, has_visible_boxes=context.has_visible_boxes, mounting=mounting
+            camera,
+            methods_of_run=ranging.rangers,
+            has_visible_boxes=context.has_visible_boxes,
+            mounting=mounting,
         ),
         world=WorldStage(
             camera,
@@ -184,7 +191,9 @@ def open_pipeline(
             *((_OTHER_HEIGHT.format(mounted_m),) if mounted_m not in (None, used_m) else ()),
             *(() if is_ahead or settings.static_camera else (_NOT_AHEAD,)),
             *((_BY_SIZES,) if settings.static_camera and plane is None else ()),
+            *left_out(settings, ranging),
         ),
+        clock=clock_of(ranging),
         background=background or InThreads(),
     )
 
@@ -247,6 +256,8 @@ def _method_context(
         has_dense_disparity=settings.sgbm,
         sgbm_options=settings.sgbm_options,
         runtime=Runtime(n_threads=settings.threads, device=settings.device),
+        depth_models=settings.networks["depth"],
+        stereo_models=settings.networks["disparity"],
     )
 
 
@@ -374,7 +385,7 @@ def warm_up(options: PipelineOptions, *, is_pair: bool) -> None:
     Modules are then imported, and tables computed: of the sizes of road users, 0.2 s, and of
     OpenCV's colours, 0.07 s. Ranging methods of other packages are not used for this.
     """
-    if any(not method.create.__module__.startswith("track_range.") for method in methods()):
+    if any(not method.create.__module__.startswith("track_range.") for method in methods(())):
         return
     camera = PinholeCamera.of_focal_length(_FOCAL_PX, _WARM_UP_PX)
     cameras = StereoRig.rectified(camera, baseline_m=_BASELINE_M) if is_pair else camera
@@ -387,6 +398,10 @@ def warm_up(options: PipelineOptions, *, is_pair: bool) -> None:
             "lanes": "classical",
             "tracker": "deepsort",
             "ground": None,
+            "methods": (),
+            "show_only": (),
+            "depth_model": (),
+            "stereo_model": (),
         }
     )
     stages = open_pipeline(usual, calibration, boxes_of(_OneCar()))

@@ -49,6 +49,10 @@ class PipelineKeywords(TypedDict, total=False):
     lens_fov_deg: str | None
     camera_model: str | None
     mount: str | Sequence[str] | Mounting | None
+    methods: str | Sequence[str] | None
+    show_only: str | Sequence[str] | None
+    depth_model: str | Path | Sequence[str | Path] | None
+    stereo_model: str | Path | Sequence[str | Path] | None
     static_camera: bool | None
     ground: str | Path | None
     count_line: str | Sequence[str] | None

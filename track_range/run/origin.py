@@ -101,6 +101,7 @@ class Origin(Reports):
             camera=recording.camera,
             rig=recording.calibrated_rig,
             fps=recording.fps,
+            methods=tuple(self.opened.pipeline.ranging.rangers),
             settings=absolute_settings(self.opened.settings),
             start_utc_s=None if recording.utc is None else recording.utc.start_s,
             provenance=self.provenance,

@@ -11,7 +11,7 @@ from track_range.results.counts.counter import LineCounter, anchors_of
 from track_range.results.counts.places import parsed_places
 from track_range.results.events.finder import EventFinder
 from track_range.results.rows.rows import Rows
-from track_range.results.table import RunRows
+from track_range.results.table import RunRows, RunTable
 from track_range.run.opening import OpenedRun
 from track_range.run.origin import Origin, input_hashes
 from track_range.run.processing import paced_frames, processed_results
@@ -43,6 +43,7 @@ class RunSession:
         recorded = reader.calibration.rectifier.recorded_points
         self.rows = RunRows(
             fps=reader.fps,
+            table=RunTable(methods=stages.ranging.rangers),
             finder=EventFinder(settings.event_settings, is_off=is_static),
             counter=LineCounter(
                 parsed_places(settings.count_line, settings.zone), anchors_of(plane, recorded)

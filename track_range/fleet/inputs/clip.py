@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from track_range.fleet.storage.location import FileStat, Location
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.numeric_text import number
-from track_range.foundation.schemas.options import is_file, option_of, value_type
+from track_range.foundation.schemas.options import is_file, is_path, option_of
 from track_range.recording.telemetry.companions import Role, companions
 from track_range.recording.telemetry.sidecars.reading import OXTS_NAME
 from track_range.recording.telemetry.speed_files import OXTS_TIMES
@@ -132,6 +131,6 @@ def file_title(role: str) -> str:
 def is_file_setting(name: str, value: str) -> bool:
     """Whether the value of a clip's setting is the path of a file or folder."""
     field = RunSettings.model_fields.get(name)
-    if field is None or value_type(field) is Path:
+    if field is None or is_path(field):
         return field is not None
     return is_file(field) and value not in option_of(field).words and math.isnan(number(value))

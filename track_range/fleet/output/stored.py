@@ -157,9 +157,10 @@ def write_of_rows(tracks: Path, events: Location, names: Iterable[str]) -> list[
     """The files of formats in `OF_ROWS`, with events.csv, written beside the rows of a clip."""
     rows = _rows(tracks)
     frames = np.unique(rows["frame"]).tolist()
-    info = RunInfo(camera=_NO_CAMERA, rig=None, fps=DEFAULT_FPS, settings={})
+    methods = rows.methods_measured
+    info = RunInfo(camera=_NO_CAMERA, rig=None, fps=DEFAULT_FPS, settings={}, methods=methods)
     with OpenWriters(sorted(names), info, tracks.parent) as writers:
-        for result in frames_of_rows(rows, frames, rows.methods_measured, DEFAULT_FPS):
+        for result in frames_of_rows(rows, frames, methods, DEFAULT_FPS):
             writers.write(result)
     system, path = events.arrow()
     with system.open_input_file(path) as stream:

@@ -101,9 +101,15 @@ def is_list(field: FieldInfo) -> bool:
     return get_origin(python_type) is tuple and get_args(python_type)[-1] is Ellipsis
 
 
+def is_path(field: FieldInfo) -> bool:
+    """Whether the value of a field, or each of a list, is the path of a file or folder."""
+    kind = value_type(field)
+    return (get_args(kind)[0] if is_list(field) else kind) is Path
+
+
 def is_file(field: FieldInfo) -> bool:
-    """Whether the value of a field is, or may be, the path of a file or folder."""
-    return value_type(field) is Path or option_of(field).is_file
+    """Whether the value of a field is, or may be, the path of a file or folder, or several."""
+    return is_path(field) or option_of(field).is_file
 
 
 def choices_of(field: FieldInfo) -> Sequence[str]:
@@ -170,6 +176,8 @@ class Options(BaseModel):
         """
         field = cls.model_fields[info.field_name or ""]
         python_type, declaration = value_type(field), option_of(field)
+        if is_list(field) and is_path(field) and isinstance(value, str | os.PathLike):
+            return (value,)  # names of files may have commas
         if isinstance(value, str) and is_list(field):
             return tuple(part.strip() for part in value.split(",")) if value.strip() else ()
         if python_type is not str:

@@ -43,7 +43,7 @@ class CsvWriter(RowWriter):
 
     def header(self) -> str:
         """Names of the columns."""
-        columns = result_columns()
+        columns = result_columns(self.info.methods)
         self._reader = RowReader(columns)
         self._line = ",".join(column.cell for column in columns) + "\n"
         return csv_text([[column.name for column in columns]])

@@ -51,7 +51,7 @@ class ParquetWriter:
         import pyarrow as pa
 
         self._path, self._stream_path = folder / PARQUET_FILE, folder / STREAM_FILE
-        self._columns = result_columns()
+        self._columns = result_columns(info.methods)
         self._reader = RowReader(self._columns)
         self._schema = rows_schema(self._columns, info.provenance.metadata())
         start = pa.BufferOutputStream()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +31,8 @@ class RunInfo:
     rig: StereoRig | None  # rectified stereo rig; None = one camera, or an uncalibrated pair
     fps: float  # nominal frame rate
     settings: Mapping[str, Any]  # section `run` of settings.yaml
+    # names of the methods that measure in it: optional ones have columns only in these runs
+    methods: Collection[str] = ()
     start_utc_s: float | None = None  # UTC of time_s = 0, in seconds since 1970; None = unknown
     provenance: Provenance = field(default_factory=Provenance)
     notes: tuple[str, ...] = ()  # messages for the user before the first frame

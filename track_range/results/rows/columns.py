@@ -6,7 +6,7 @@ tracks.csv; the columns of ranging methods of other packages follow at the end.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.ranging.methods.method import MethodError, RangingMethod
@@ -289,24 +289,36 @@ _TRUTH = (  # that are added to the rows where there is ground truth, and are in
 )
 
 
-def result_columns() -> tuple[ResultColumn, ...]:
-    """All columns of this installation, in the order of tracks.csv.
+def result_columns(optional: Collection[str] | None = ()) -> tuple[ResultColumn, ...]:
+    """The columns of a run, in the order of tracks.csv; of optional methods only those that are named,
+    at the end (None = of all).
 
     Raises MethodError: a method of another package has a column with the name of another one.
     """
     distances = [column for name in _first_distances() for column in _distance_columns(name)]
     columns = (*_FIRST, *distances, *_APPROACH)
     names = {column.name for column in columns}
-    built_in = [method for method in methods() if method.name in METHODS.built_in]
+    built_in = _built_in()
     by_distance = _method_columns(method for method in built_in if method.measures_distance)
     own = [column for column in by_distance if column.name not in names]
     without_distance = _method_columns(
         method for method in built_in if not method.measures_distance
     )
-    others = _method_columns(method for method in methods() if method.name not in METHODS.built_in)
+    others = _method_columns(_others(optional))
     all_columns = (*columns, *own, *_MOTION, *_SAFETY, *without_distance, *_LATER, *others)
     _check_names(column.name for column in all_columns)
     return all_columns
+
+
+def _built_in() -> list[RangingMethod]:
+    """The methods whose columns all runs have, at fixed places."""
+    return [method for method in methods(()) if method.name in METHODS.built_in]
+
+
+def _others(optional: Collection[str] | None = None) -> list[RangingMethod]:
+    """The methods of other packages, and the optional ones that are named (None = all)."""
+    of_all = {method.name for method in _built_in()}
+    return [method for method in methods(optional) if method.name not in of_all]
 
 
 def _check_names(names: Iterable[str]) -> None:
@@ -314,7 +326,7 @@ def _check_names(names: Iterable[str]) -> None:
     repeated = [name for name, n in Counter(names).items() if n > 1]
     if not repeated:
         return
-    others = [method.name for method in methods() if method.name not in METHODS.built_in]
+    others = [method.name for method in _others()]
     causes = [name for name in others if any(column.startswith(f"{name}_") for column in repeated)]
     raise MethodError(
         f"ranging method {' and '.join(causes)}: its columns would have the names of others "
@@ -324,16 +336,12 @@ def _check_names(names: Iterable[str]) -> None:
 
 def declared_columns() -> dict[str, ResultColumn]:
     """All columns of files by name, and those of the ground truth."""
-    return {column.name: column for column in (*result_columns(), *_TRUTH)}
+    return {column.name: column for column in (*result_columns(None), *_TRUTH)}
 
 
 def _first_distances() -> list[str]:
     """Names of the distances of the first columns: by the built-in methods, fused, and filtered."""
-    built_in = [
-        method
-        for method in methods()
-        if method.name in METHODS.built_in and method.measures_distance
-    ]
+    built_in = [method for method in _built_in() if method.measures_distance]
     filtered = [f"{method.name}_kf" for method in built_in if method.is_filtered]
     return [*(method.name for method in built_in), "fused", *filtered, "fused_kf"]
 
@@ -371,7 +379,7 @@ def _method_columns(chosen: Iterable[RangingMethod]) -> Iterator[ResultColumn]:
 
 
 def column_names() -> list[str]:
-    """Column names in the header of tracks.csv."""
+    """Column names in the header of tracks.csv, without those of optional methods."""
     return [column.name for column in result_columns()]
 
 
@@ -391,7 +399,7 @@ def methods_with_sigma() -> list[str]:
     """
     names = [
         column.name.removesuffix("_sigma_m")
-        for column in result_columns()
+        for column in result_columns(None)
         if column.place.startswith("ranges.") and column.name.endswith("_sigma_m")
     ]
     return sorted(names, key=lambda name: name.endswith("_kf"))

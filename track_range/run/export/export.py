@@ -289,6 +289,7 @@ def _export_rows(
         camera=camera,
         rig=None,
         fps=fps,
+        methods=rows.methods_measured,
         settings=run.settings,
         start_utc_s=_start_utc_s(rows),
         provenance=run.provenance,

@@ -12,7 +12,7 @@ from track_range.foundation.files.input_files import quoted
 from track_range.recording.sources.live.address import live_address
 from track_range.recording.sources.names import source_of
 from track_range.run.options.detection import MASK_SUFFIXES
-from track_range.run.options.paths import FILES, INPUT_FILES, PATHS
+from track_range.run.options.paths import FILES, INPUT_FILES, PATHS, paths_of
 from track_range.run.options.settings import RunSettings
 
 ANONYMIZED = (
@@ -46,8 +46,8 @@ def check_named_files(settings: RunSettings, keys: list[str], file: Path | None)
     videos = [path for video in settings.videos for path in source_of(video).files]
     for key in keys:
         files = videos if key in ("stereo", "mono") else []
-        if key in PATHS & INPUT_FILES and (path := getattr(settings, key)) is not None:
-            files = [path]
+        if key in PATHS & INPUT_FILES:
+            files = paths_of(getattr(settings, key))
         missing = next((path for path in files if not path.exists()), None)
         if missing is not None:
             raise ConfigError(

@@ -1,15 +1,17 @@
 """Which settings of a run are paths, and the files that a run reads."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
-from track_range.foundation.schemas.options import is_file, value_type
+from track_range.foundation.schemas.options import is_file, is_path
 from track_range.recording.sources.names import source_of
 from track_range.run.options.settings import RunSettings
 
-# names of settings that are, or may be, paths; that the run reads; and that are always paths
+# names of settings that are, or may be, paths or lists of them; that the run reads; and that are
+# always paths
 FILES = RunSettings.fields_where(is_file)
 INPUT_FILES = {name for name in FILES if RunSettings.stage_of(name) != "outputs"}
-PATHS = RunSettings.fields_where(lambda field: value_type(field) is Path)
+PATHS = RunSettings.fields_where(is_path)
 
 
 def files_by_setting(settings: RunSettings) -> dict[str, list[Path]]:
@@ -21,12 +23,19 @@ def files_by_setting(settings: RunSettings) -> dict[str, list[Path]]:
         side: source_of(video).files for side, video in zip(sides, settings.videos, strict=False)
     }
     named = {name: getattr(settings, name) for name in sorted(INPUT_FILES)}
-    given = {name: [Path(value)] for name, value in named.items() if value is not None}
-    return {**videos, **given}
+    given = {name: paths_of(value) for name, value in named.items()}
+    return {**videos, **{name: paths for name, paths in given.items() if paths}}
 
 
 def input_files(settings: RunSettings) -> list[Path]:
     """All files that a run reads, and words given instead of files."""
     named = (getattr(settings, name) for name in RunSettings.model_fields if name in INPUT_FILES)
     videos = (file for video in settings.videos for file in source_of(video).files)
-    return [*videos, *(Path(name) for name in named if name is not None)]
+    return [*videos, *(path for value in named for path in paths_of(value))]
+
+
+def paths_of(value: str | Path | Sequence[Path] | None) -> list[Path]:
+    """The paths in the value of a setting; None = none."""
+    if value is None:
+        return []
+    return [Path(one) for one in ((value,) if isinstance(value, str | Path) else value)]

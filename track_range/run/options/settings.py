@@ -15,6 +15,7 @@ from track_range.recording.sources.names import source_of
 from track_range.run.options.detection import DetectionOptions, TrackingOptions
 from track_range.run.options.fixed import FixedCameraOptions
 from track_range.run.options.input import InputOptions
+from track_range.run.options.methods import MethodOptions
 from track_range.run.options.output import OutputOptions
 from track_range.run.options.ranging import RangingOptions
 from track_range.run.options.truth import TruthOptions
@@ -24,7 +25,9 @@ if TYPE_CHECKING:
 
 
 # pydantic lists the fields of the last base first
-class PipelineOptions(FixedCameraOptions, RangingOptions, TrackingOptions, DetectionOptions):
+class PipelineOptions(
+    FixedCameraOptions, MethodOptions, RangingOptions, TrackingOptions, DetectionOptions
+):
     """Options of the processing of a frame, whether the frame comes from a file or from memory."""
 
 
@@ -63,7 +66,8 @@ class RunSettings(OutputOptions, PipelineOptions, TruthOptions, InputOptions):
     @property
     def has_dense_stereo(self) -> bool:
         """Whether dense stereo is requested for a pair."""
-        return self.stereo is not None and self.sgbm
+        is_chosen = not self.methods or "sgbm" in (*self.methods, *self.show_only)
+        return self.stereo is not None and self.sgbm and is_chosen
 
 
 class Contradiction(NamedTuple):
@@ -143,6 +147,12 @@ _CONTRADICTIONS = (
         ("clips", "overlay"),
         lambda run: run.clips and not run.overlay,
         "--clips cuts its videos from overlay.mp4: it cannot be combined with --no-overlay",
+    ),
+    Contradiction(
+        ("stereo_model", "stereo", "mono"),
+        lambda run: bool(run.stereo_model) and run.stereo is None,
+        "--stereo-model measures with two cameras: give --stereo LEFT RIGHT, or the network of one "
+        "camera by --depth-model",
     ),
     Contradiction(
         ("overlay_disparity", "stereo", "mono", "sgbm", "overlay"),

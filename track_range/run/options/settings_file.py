@@ -104,7 +104,9 @@ def absolute_settings(settings: RunSettings) -> dict[str, Any]:
     """
     run: dict[str, Any] = settings.model_dump(mode="json", exclude_none=True)
     for key in FILES & run.keys():
-        if key in PATHS or os.path.exists(run[key]):  # False for a name that is too long
+        if isinstance(run[key], list):
+            run[key] = [os.path.realpath(path) for path in run[key]]
+        elif key in PATHS or os.path.exists(run[key]):  # False for a name that is too long
             run[key] = os.path.realpath(run[key])
 
     def absolute(video: VideoName) -> str | list[str]:

@@ -1,0 +1,76 @@
+"""The ranging methods of a run as its options choose them."""
+
+from collections.abc import Iterator, Mapping
+
+from track_range.pipeline.clock import StageClock
+from track_range.pipeline.ranging import RangingStage
+from track_range.ranging.methods.method import (
+    MethodContext,
+    MethodError,
+    RangingMethod,
+    Requirement,
+)
+from track_range.ranging.registry import create_rangers, methods, methods_of_run
+from track_range.run.options.methods import MethodOptions
+
+# what a run lacks, and the options that give it
+_LACKS: Mapping[Requirement, str] = {
+    "image": "images, found boxes alone",
+    "rig": "a pair with a calibration (--stereo LEFT RIGHT with --rig FILE), found none",
+    "right_image": "two cameras (--stereo LEFT RIGHT), found one",
+    "dense_disparity": "dense stereo, found --no-sgbm",
+    "lane_lines": "lane lines, found --lanes off, or a view that does not look along the drive",
+    "camera_height": "the height of the camera (--camera-height-m), found none",
+}
+
+
+def open_methods(options: MethodOptions, context: MethodContext) -> RangingStage:
+    """The methods of a run that the options choose and the context allows.
+
+    Raises MethodError: a method that is asked for cannot measure here, or none is left to fuse; the
+    errors of opening networks.
+    """
+    networks = [name for kind in options.networks.values() for name in kind]
+    listed = methods_of_run(options.methods, networks, options.show_only)
+    asked_for = options.asked_for
+    for method in listed:
+        if method.name in asked_for:
+            _check_measurable(method, context)
+    rangers = create_rangers(context, listed)
+    shown_only = {method.name for method in listed if not method.fuses}
+    if options.show_only and shown_only >= rangers.keys():
+        raise MethodError(
+            "--show-only: expected a method that is left for the fused distance, found none; name "
+            f"fewer than all methods of this run ({', '.join(rangers)})."
+        )
+    return RangingStage(rangers, shown_only=frozenset(shown_only & rangers.keys()))
+
+
+def _check_measurable(method: RangingMethod, context: MethodContext) -> None:
+    for need in sorted(method.needs - context.available):
+        raise MethodError(
+            f"ranging method {method.name}: expected {_LACKS.get(need, need)}; give it, or leave the "
+            "method out of this run."
+        )
+
+
+def fused_methods(ranging: RangingStage) -> list[RangingMethod]:
+    """The methods of the error model of fusion: optional ones only if they are fused in this run.
+
+    Those that all runs know stay in it, also where they are not measured: correlations depend on the
+    methods of the model, and the distances of the others would change.
+    """
+    fused = ranging.rangers.keys() - ranging.shown_only
+    return [*methods(fused)]
+
+
+def left_out(options: MethodOptions, ranging: RangingStage) -> Iterator[str]:
+    """A sentence for each method that is asked for and does not measure in this run."""
+    for name in sorted(options.asked_for - ranging.rangers.keys()):
+        yield f"The ranging method {name} does not measure in this run: it has not what it needs."
+
+
+def clock_of(ranging: RangingStage) -> StageClock:
+    """The times of the stages, with those of these methods."""
+    with_network = [name for name, one in ranging.rangers.items() if one.network is not None]
+    return StageClock(ranging.rangers, with_network)
