@@ -48,6 +48,17 @@ class _Network:
         """Whether its values are metres or pixels, and not right up to a factor."""
         return self.format.metric
 
+    @property
+    def described(self) -> dict[str, Any]:
+        """How the file is understood, for summary.json."""
+        return {
+            "sha256": self.session.sha256(),
+            "format": self.source,
+            "gives": self.format.gives,
+            "metric": self.format.metric,
+            "device": self.session.device,
+        }
+
     def _check_outputs(self) -> None:
         named = {
             "output": self.format.output,

@@ -23,18 +23,17 @@ class StageClock:
 
     Stages are measured in processor time of their thread, so that waiting for a core (stages have a
     lower priority than inference) does not count. Inference, which has its own threads, is measured
-    in wall-clock time: the detector's, and that of the methods `with_network`.
+    in wall-clock time.
     """
 
-    def __init__(self, methods: Collection[str] = (), with_network: Collection[str] = ()) -> None:
+    def __init__(self, methods: Collection[str] = ()) -> None:
         """Start at zero; `methods` are those of the run."""
         self.busy_s = dict.fromkeys(stage_names(methods), 0.0)  # seconds so far, by stage
-        self._wall_timed = frozenset((*_WALL_TIMED, *with_network))
         self._lock = Lock()
 
     def stage(self, name: str) -> AbstractContextManager[None]:
         """Add the time of the with-block to a stage."""
-        return _Stage(self, name, is_wall_timed=name in self._wall_timed)
+        return _Stage(self, name)
 
     def add(self, name: str, seconds: float) -> None:
         """Add seconds that were measured elsewhere to a stage."""
@@ -47,9 +46,9 @@ class _Stage(AbstractContextManager[None]):
 
     __slots__ = ("_clock", "_name", "_now_s", "_start_s")
 
-    def __init__(self, clock: StageClock, name: str, *, is_wall_timed: bool) -> None:
+    def __init__(self, clock: StageClock, name: str) -> None:
         self._clock, self._name = clock, name
-        self._now_s = time.perf_counter if is_wall_timed else time.thread_time
+        self._now_s = time.perf_counter if name in _WALL_TIMED else time.thread_time
 
     def __enter__(self) -> None:
         self._start_s = self._now_s()

@@ -18,6 +18,7 @@ from track_range.foundation.errors import Note
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.pipeline.alarming import AlarmStage
+from track_range.pipeline.clock import StageClock
 from track_range.pipeline.detecting import DetectionStage
 from track_range.pipeline.doubting import DoubtStage
 from track_range.pipeline.ego import EgoStage, StandingCamera
@@ -44,7 +45,7 @@ from track_range.ranging.world.road_plane import RoadPlane
 from track_range.recording.cameras.calibration import LensView, RecordingCalibration, calibration_of
 from track_range.recording.recording import Recording, open_recording
 from track_range.run.box_source import BoxSource, boxes_of
-from track_range.run.chosen_methods import clock_of, fused_methods, left_out, open_methods
+from track_range.run.chosen_methods import fused_methods, left_out, open_methods
 from track_range.run.options.opened import open_tracker_options
 from track_range.run.options.settings import PipelineOptions, RunSettings
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -193,7 +194,7 @@ def open_pipeline(
             *((_BY_SIZES,) if settings.static_camera and plane is None else ()),
             *left_out(settings, ranging),
         ),
-        clock=clock_of(ranging),
+        clock=StageClock(ranging.rangers),
         background=background or InThreads(),
     )
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 
-from track_range.pipeline.clock import StageClock
 from track_range.pipeline.ranging import RangingStage
 from track_range.ranging.methods.method import (
     MethodContext,
@@ -68,9 +67,3 @@ def left_out(options: MethodOptions, ranging: RangingStage) -> Iterator[str]:
     """A sentence for each method that is asked for and does not measure in this run."""
     for name in sorted(options.asked_for - ranging.rangers.keys()):
         yield f"The ranging method {name} does not measure in this run: it has not what it needs."
-
-
-def clock_of(ranging: RangingStage) -> StageClock:
-    """The times of the stages, with those of these methods."""
-    with_network = [name for name, one in ranging.rangers.items() if one.network is not None]
-    return StageClock(ranging.rangers, with_network)

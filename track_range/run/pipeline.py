@@ -487,6 +487,9 @@ class Pipeline:
         stages = parts.stages
         detection = stages.detection
         networks = {name: getattr(detection, name) for name in ("detect", "prepare", "candidates")}
+        networks |= {
+            f"network of {name}": one.network for name, one in stages.ranging.rangers.items()
+        }
         return {**own, **networks, "restarted": stages.restarted}
 
     def _new_drive(self) -> _Drive:

@@ -20,6 +20,7 @@ from track_range.results.rows.column import RowReader
 from track_range.results.rows.columns import (
     MAX_COLUMNS,
     MAX_NAME,
+    learn_networks,
     result_columns,
     text_columns,
 )
@@ -108,6 +109,7 @@ def _checked_header(text: str) -> list[str]:
         raise ValueError("two columns of the same name")
     if len(header) > MAX_COLUMNS:
         raise ValueError(f"{len(header)} columns, more than {MAX_COLUMNS}")
+    learn_networks(header)
     return header
 
 

@@ -28,6 +28,7 @@ from track_range.results.rows.column import RowReader
 from track_range.results.rows.columns import (
     MAX_COLUMNS,
     MAX_NAME,
+    learn_networks,
     result_columns,
     text_columns,
 )
@@ -198,6 +199,7 @@ def _usable_columns(path: Path, schema: pa.Schema) -> list[str]:
     check_schema_version(path, schema.metadata, OutputError)
     if len(schema) > MAX_COLUMNS or len(set(schema.names)) < len(schema):
         raise ValueError("columns")
+    learn_networks(schema.names)
     names, texts = [], text_columns()
     for field in schema:
         is_text = field.name in texts

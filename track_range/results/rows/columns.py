@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.ranging.methods.method import MethodError, RangingMethod
-from track_range.ranging.registry import METHODS, methods
+from track_range.ranging.registry import METHODS, methods, register_networks
 from track_range.ranging.world.object_motion import MOTION_STATES
 from track_range.results.rows.column import ResultColumn
 
@@ -376,6 +376,13 @@ def _method_columns(chosen: Iterable[RangingMethod]) -> Iterator[ResultColumn]:
             place = f"ranges.{method.name}.details.{detail}"
             unit = "s" if detail.endswith("_s") else ""
             yield ResultColumn(f"{method.name}_{detail}", unit, place, meaning)
+
+
+def learn_networks(names: Iterable[str]) -> None:
+    """Register the methods of networks whose distances are among the columns of a file, so that its
+    readers know them as the run did.
+    """
+    register_networks(name.removesuffix("_m") for name in names if name.endswith("_m"))
 
 
 def column_names() -> list[str]:
