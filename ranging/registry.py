@@ -162,10 +162,11 @@ def register_networks(names: Iterable[str]) -> None:
     are left alone.
     """
     for name in names:
-        kind, separator, _ = name.partition("-")
-        if not separator or kind not in NETWORK_METHODS or name in METHODS.usable:
+        of_network = re.fullmatch(r"([a-z]+)-[a-z0-9-]+", name)
+        if of_network is None or name in METHODS.usable:
             continue
-        register(_distinct(imported(NETWORK_METHODS[kind])(name)))
+        if (describe := NETWORK_METHODS.get(of_network[1])) is not None:
+            register(_distinct(imported(describe)(name)))
 
 
 def _distinct(method: RangingMethod) -> RangingMethod:

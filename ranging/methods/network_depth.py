@@ -5,7 +5,6 @@ its errors (`NetworkScale`).
 """
 
 import time
-import zlib
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Protocol
@@ -34,8 +33,6 @@ from track_range.stereo.matching.sgbm import inner_halves
 from track_range.tracking.tracks import Tracks
 
 _NAME = "depth"
-# for further networks; none is used by other methods
-_LETTERS, _COLOURS = "NOPQRTUVW", ("#5b6abf", "#8a4fa3", "#2f8f83", "#a8643c", "#6b7f2a")
 
 
 class DepthSource(Protocol):
@@ -137,8 +134,9 @@ def box_surfaces(dense: DenseMap, xyxy_px: FloatArray) -> tuple[FloatArray, Floa
 
 
 def network_method(name: str) -> RangingMethod:
-    """The method of a depth network: `depth`, or `depth-NAME` of further ones."""
-    k = 0 if name == _NAME else 1 + zlib.crc32(name.encode()) % (len(_LETTERS) - 1)
+    """The method of a depth network: `depth`, or `depth-NAME` of several, which get letters and
+    colours of their own when they are registered.
+    """
 
     def create(context: MethodContext) -> Ranger | None:
         path = context.depth_models.get(name)
@@ -153,9 +151,9 @@ def network_method(name: str) -> RangingMethod:
 
     return RangingMethod(
         name=name,
-        title=name.replace("-", " network ", 1) if k else "depth network",
-        letter=_LETTERS[k],
-        colour=_COLOURS[k % len(_COLOURS)],
+        title="depth network" if name == _NAME else name.replace("-", " network ", 1),
+        letter="D",
+        colour="#b04a78",
         create=create,
         needs=frozenset({"image"}),
         reads=("mono", "stereo"),

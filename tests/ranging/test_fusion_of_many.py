@@ -255,7 +255,9 @@ def test_copies_of_a_method_count_as_one(n_copies):
 @pytest.mark.parametrize("listed", [None, SIX])
 def test_bias_covariance_stays_valid_over_many_conflicts(listed):
     rng, ids, fusion = np.random.default_rng(0), np.arange(8), Fusion(listed)
-    names = [one.name for one in (methods() if listed is None else listed) if one.measures_distance]
+    names = [
+        one.name for one in (methods(()) if listed is None else listed) if one.measures_distance
+    ]
     true_m = rng.uniform(10, 60, 8)
     for step in range(1000):
         by_method = {}
@@ -274,7 +276,7 @@ def test_bias_covariance_stays_valid_over_many_conflicts(listed):
 def test_correlations_of_the_built_in_methods():
     """By hand: mono, ground and lane share the contact point, mono and ground the horizon; dense and
     patch matching share the rig."""
-    model = ErrorModel.of(methods())
+    model = ErrorModel.of(methods(()))
     mono, ground, lane, stereo, sgbm = (
         model.names.index(name) for name in ("mono", "ground", "lane", "stereo", "sgbm")
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -45,8 +45,8 @@ from track_range.ranging.world.road_plane import RoadPlane
 from track_range.recording.cameras.calibration import LensView, RecordingCalibration, calibration_of
 from track_range.recording.recording import Recording, open_recording
 from track_range.run.box_source import BoxSource, boxes_of
-from track_range.run.chosen_methods import fused_methods, left_out, open_methods
 from track_range.run.options.opened import open_tracker_options
+from track_range.run.options.opened_methods import fused_methods, left_out, open_methods
 from track_range.run.options.settings import PipelineOptions, RunSettings
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
@@ -134,7 +134,6 @@ def open_pipeline(
     method that the settings ask for cannot measure; the errors of opening networks.
     """
     mounting = calibration.view_mounting(settings.mounting)
-    is_ahead = looks_ahead(mounting) and not settings.static_camera
     context = _method_context(settings, calibration, boxes, region, mounting)
     plane = context.road_plane
     runtime = context.runtime or Runtime()
@@ -157,7 +156,6 @@ def open_pipeline(
     )
     first_tracker, ego, alarming = of_scene()
     check = _scale_check(context, priors, calibration, settings.lane_width_m, background)
-    mounted_m, used_m = _mounted_m(mounting, calibration), context.camera_height_m
     ranging = open_methods(settings, context)
     return FramePipeline(
         detection=DetectionStage(
@@ -182,21 +180,34 @@ def open_pipeline(
         world=WorldStage(
             camera,
             centre_sigma_px=calibration.centre_sigma_px,
-            mounting=_at_height(mounting, used_m),
+            mounting=_at_height(mounting, context.camera_height_m),
             sizes=ClassSizes.of(context.size_model),
             road=None if plane is None else RoadMotions(plane),
         ),
         alarming=alarming,
         setup_notes=(
             *appearance_notes,
-            *((_OTHER_HEIGHT.format(mounted_m),) if mounted_m not in (None, used_m) else ()),
-            *(() if is_ahead or settings.static_camera else (_NOT_AHEAD,)),
-            *((_BY_SIZES,) if settings.static_camera and plane is None else ()),
+            *_setup_notes(settings, context, _mounted_m(mounting, calibration), mounting),
             *left_out(settings, ranging),
         ),
         clock=StageClock(ranging.rangers),
         background=background or InThreads(),
     )
+
+
+def _setup_notes(
+    settings: PipelineOptions,
+    context: MethodContext,
+    mounted_m: float | None,
+    mounting: Mounting | None,
+) -> Iterator[str]:
+    """Notes on the mounting and on what a camera that stands still lacks."""
+    if mounted_m not in (None, context.camera_height_m):
+        yield _OTHER_HEIGHT.format(mounted_m)
+    if settings.static_camera and context.road_plane is None:
+        yield _BY_SIZES
+    if not looks_ahead(mounting) and not settings.static_camera:
+        yield _NOT_AHEAD
 
 
 def _stages_of_scene(

@@ -121,10 +121,10 @@ def test_distances_with_the_scale_of_the_rig_are_corrected_and_kept_for_the_evid
     of_frame = stage.measure(CARS, frame(), None, Ego(motion=EgoMotion()), scale, StageClock())
     assert of_frame.by_rig is by_rig
     assert of_frame.ranges["mono"] is by_size
-    of_next = of_frame.at_scale(RigScale(math.log(4.0), 0.1))
+    of_next = of_frame.at_scale(DriveScale(rig=RigScale(math.log(4.0), 0.1)))
     np.testing.assert_allclose(of_next.ranges["stereo"].distance_m, [5.0, 7.5])
-    assert of_frame.at_scale(scale.rig) is of_frame
-    back = of_next.at_scale(scale.rig)
+    assert of_frame.at_scale(scale) is of_frame
+    back = of_next.at_scale(scale)
     np.testing.assert_allclose(back.ranges["stereo"].distance_m, [10.0, 15.0])
     np.testing.assert_allclose(of_frame.ranges["stereo"].distance_m, [10.0, 15.0])
     one_camera = RangingStage({"mono": FixedRanger(by_size)})

@@ -15,7 +15,12 @@ from track_range.foundation.files.output_files import OutputError
 from track_range.ranging.methods.method import ErrorSource, RangingMethod
 from track_range.ranging.registry import methods
 from track_range.results.formats.csv_file import read_tracks_csv
-from track_range.results.rows.columns import column_names, distance_names, methods_with_sigma
+from track_range.results.rows.columns import (
+    column_names,
+    distance_names,
+    methods_with_sigma,
+    result_columns,
+)
 from track_range.results.table import FRAMES_PER_BATCH, RunTable
 
 CONTRACT = (
@@ -73,7 +78,8 @@ def test_columns_of_further_methods_are_appended(tmp_path):
 
 def test_only_distances_of_methods_are_distances():
     """Further columns in metres do not become methods; those of methods of other packages do."""
-    names = [*column_names(), "truth_m", "scored_truth_m", "radar_m", "radar_sigma_m"]
+    names = [column.name for column in result_columns(None)]
+    names += ["truth_m", "scored_truth_m", "radar_m", "radar_sigma_m"]
     found = distance_names(names)
     assert found[-1] == "radar"
     assert set(found) == {*methods_with_sigma(), "radar"}
@@ -83,7 +89,7 @@ def test_only_distances_of_methods_are_distances():
 def test_every_built_in_method_has_columns():
     names = {
         f"{method.name}{end}"
-        for method in methods()
+        for method in methods(())
         if method.measures_distance
         for end in ("_m", "_sigma_m")
     }

@@ -7,6 +7,7 @@ tracks.csv; the columns of ranging methods of other packages follow at the end.
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import suppress
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.ranging.methods.method import MethodError, RangingMethod
@@ -382,7 +383,8 @@ def learn_networks(names: Iterable[str]) -> None:
     """Register the methods of networks whose distances are among the columns of a file, so that its
     readers know them as the run did.
     """
-    register_networks(name.removesuffix("_m") for name in names if name.endswith("_m"))
+    with suppress(MethodError):  # a file with more networks than letters has them as other columns
+        register_networks(name.removesuffix("_m") for name in names if name.endswith("_m"))
 
 
 def column_names() -> list[str]:

@@ -17,7 +17,7 @@ _NETWORK_FILE = (
 )
 
 
-class MethodOptions(Options):
+class RunMethodOptions(Options):
     """The ranging methods of a run."""
 
     panel: ClassVar = "Ranging"
@@ -106,5 +106,5 @@ def _named(*fields: str) -> Iterator[None]:
     try:
         yield
     except UserError as error:
-        flag = MethodOptions.flag(fields[0])
+        flag = RunMethodOptions.flag(fields[0])
         raise contradiction(f"{flag}: {error}", fields) from error

@@ -15,7 +15,7 @@ from track_range.recording.sources.names import source_of
 from track_range.run.options.detection import DetectionOptions, TrackingOptions
 from track_range.run.options.fixed import FixedCameraOptions
 from track_range.run.options.input import InputOptions
-from track_range.run.options.methods import MethodOptions
+from track_range.run.options.methods import RunMethodOptions
 from track_range.run.options.output import OutputOptions
 from track_range.run.options.ranging import RangingOptions
 from track_range.run.options.truth import TruthOptions
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # pydantic lists the fields of the last base first
 class PipelineOptions(
-    FixedCameraOptions, MethodOptions, RangingOptions, TrackingOptions, DetectionOptions
+    FixedCameraOptions, RunMethodOptions, RangingOptions, TrackingOptions, DetectionOptions
 ):
     """Options of the processing of a frame, whether the frame comes from a file or from memory."""
 

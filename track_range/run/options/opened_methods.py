@@ -10,7 +10,7 @@ from track_range.ranging.methods.method import (
     Requirement,
 )
 from track_range.ranging.registry import create_rangers, methods, methods_of_run
-from track_range.run.options.methods import MethodOptions
+from track_range.run.options.methods import RunMethodOptions
 
 # what a run lacks, and the options that give it
 _LACKS: Mapping[Requirement, str] = {
@@ -23,7 +23,7 @@ _LACKS: Mapping[Requirement, str] = {
 }
 
 
-def open_methods(options: MethodOptions, context: MethodContext) -> RangingStage:
+def open_methods(options: RunMethodOptions, context: MethodContext) -> RangingStage:
     """The methods of a run that the options choose and the context allows.
 
     Raises MethodError: a method that is asked for cannot measure here, or none is left to fuse; the
@@ -63,7 +63,7 @@ def fused_methods(ranging: RangingStage) -> list[RangingMethod]:
     return [*methods(fused)]
 
 
-def left_out(options: MethodOptions, ranging: RangingStage) -> Iterator[str]:
+def left_out(options: RunMethodOptions, ranging: RangingStage) -> Iterator[str]:
     """A sentence for each method that is asked for and does not measure in this run."""
     for name in sorted(options.asked_for - ranging.rangers.keys()):
         yield f"The ranging method {name} does not measure in this run: it has not what it needs."
