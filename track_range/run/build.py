@@ -130,17 +130,17 @@ def open_pipeline(
 
     CurveError: the size curves cannot be read; ModelError: the re-identification or lane network
     cannot be used; TrackerError: the tracker cannot be created; MethodError: ranging methods of
-    other packages depend on each other in a cycle, or a
-    method that the settings ask for cannot measure; the errors of opening networks.
+    other packages depend on each other in a cycle, or a method that the settings ask for cannot
+    measure; the errors of opening networks.
     """
     mounting = calibration.view_mounting(settings.mounting)
     context = _method_context(settings, calibration, boxes, region, mounting)
-    plane = context.road_plane
+    priors = _camera_priors(context, calibration)
+    check = _scale_check(context, priors, calibration, settings.lane_width_m, background)
     runtime = context.runtime or Runtime()
     tracker_options = open_tracker_options(settings.reid, runtime, settings.tracker_min_score)
     appearance_notes = () if tracker_options.reid is None else tracker_options.reid.notes
     lane_finder = open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None
-    priors = _camera_priors(context, calibration)
     camera = calibration.camera
     ego_of = partial(
         _ego_stage,
@@ -155,7 +155,6 @@ def open_pipeline(
         _stages_of_scene, settings, camera, tracker or tracker_options, ego_of, mounting=mounting
     )
     first_tracker, ego, alarming = of_scene()
-    check = _scale_check(context, priors, calibration, settings.lane_width_m, background)
     ranging = open_methods(settings, context)
     return FramePipeline(
         detection=DetectionStage(
@@ -182,26 +181,27 @@ def open_pipeline(
             centre_sigma_px=calibration.centre_sigma_px,
             mounting=_at_height(mounting, context.camera_height_m),
             sizes=ClassSizes.of(context.size_model),
-            road=None if plane is None else RoadMotions(plane),
+            road=None if context.road_plane is None else RoadMotions(context.road_plane),
         ),
         alarming=alarming,
         setup_notes=(
             *appearance_notes,
-            *_setup_notes(settings, context, _mounted_m(mounting, calibration), mounting),
+            *_setup_notes(settings, context, calibration, mounting),
             *left_out(settings, ranging),
         ),
-        clock=StageClock(ranging.rangers),
         background=background or InThreads(),
+        clock=StageClock(ranging.rangers),
     )
 
 
 def _setup_notes(
     settings: PipelineOptions,
     context: MethodContext,
-    mounted_m: float | None,
+    calibration: RecordingCalibration,
     mounting: Mounting | None,
 ) -> Iterator[str]:
     """Notes on the mounting and on what a camera that stands still lacks."""
+    mounted_m = _mounted_m(mounting, calibration)
     if mounted_m not in (None, context.camera_height_m):
         yield _OTHER_HEIGHT.format(mounted_m)
     if settings.static_camera and context.road_plane is None:
