@@ -155,11 +155,16 @@ class NetworkEvidence:
                 f"{self._reference} (1 = right); its sigmas are accordingly wide."
             )
             return (Note(sentence, "depth-network-says-little", "warning", "methods"),)
+        limit = ""
+        if math.isfinite(scale.reach_m):
+            limit = f" Beyond {scale.reach_m:.0f} m, its distances hardly change: wide sigmas."
         found = f"{factor:.2f} ± {factor * scale.sigma:.2f} times those {self._reference}"
         if abs(scale.log_factor) > _CLEAR * scale.sigma:
-            sentence = f"The distances of the depth network {self.name} are {found}: corrected."
-            return (Note(sentence, "depth-network-corrected", "warning", "methods"),)
-        sentence = f"The distances of the depth network {self.name} agree: {found}."
+            sentence = (
+                f"The distances of the depth network {self.name} are {found}: corrected.{limit}"
+            )
+            return (Note(sentence, "depth-network-corrected", "ok", "methods"),)
+        sentence = f"The distances of the depth network {self.name} agree: {found}.{limit}"
         return (Note(sentence, "depth-network-agrees", "ok", "methods"),)
 
     def summary(self) -> dict[str, Any]:
@@ -171,6 +176,7 @@ class NetworkEvidence:
             "sigma": round(scale.sigma, 4),
             "slope": round(scale.slope.mean, 3),
             "slope_sigma": round(scale.slope.sigma, 3),
+            "reach_m": scale.reach_m if math.isfinite(scale.reach_m) else None,
             "track_sigma": round(scale.track_sigma, 4),
             "noise_sigma": round(scale.noise_sigma, 4),
             "n_tracks": scale.n_tracks,

@@ -34,6 +34,7 @@ from track_range.ranging.cameras.unknowns import (
     USUAL_HEIGHT_M,
     CameraPriors,
     Kind,
+    NetworkFactor,
     Prior,
     Sum,
     Unknown,
@@ -420,7 +421,13 @@ class ScaleCheck:
     def _names(self, evidence: Sequence[Evidence]) -> str:
         is_given = self.priors[Unknown.HEIGHT].kind == "given"
         height = f"{'the given' if is_given else 'a usual'} height of the camera"
-        return _listed([*(item.name for item in evidence), height])
+        names = [item.name for item in evidence if not _of_network(item)]
+        return _listed([*names, height])
+
+
+def _of_network(item: Evidence) -> bool:
+    """Whether evidence shows the factor of a network, and so nothing of the cameras."""
+    return any(isinstance(unknown, NetworkFactor) for unknown in item.of)
 
 
 def _too_large(of: Unknown, mean: float) -> float:

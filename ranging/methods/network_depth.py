@@ -7,13 +7,17 @@ its errors (`NetworkScale`).
 import time
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.errors import Note
 from track_range.ranging.measurement.dense_map import DenseMap
+from track_range.ranging.measurement.dense_surfaces import box_surfaces
 from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.measurement.relative_depth import RelativeFit
 from track_range.ranging.methods.method import (
     ErrorSource,
     Measured,
@@ -23,16 +27,17 @@ from track_range.ranging.methods.method import (
 )
 from track_range.ranging.size_models.drive_scale import NO_EVIDENCE, DriveScale
 from track_range.ranging.size_models.network_scale import (
+    FREE_SIGMA,
     NetworkDistances,
     NetworkErrors,
     NetworkScale,
 )
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.matching.sgbm import inner_halves
 from track_range.tracking.tracks import Tracks
 
 _NAME = "depth"
+_REFERENCES = ("stereo", "mono")  # for networks that are right up to scale and shift
 
 
 class DepthSource(Protocol):
@@ -59,10 +64,10 @@ class NetworkDepthRanger(Ranger):
         """Start a ranger of the method `name`; `errors` are measured ones of the network, None =
         those of any network.
         """
-        self._name, self._network, self._camera = name, network, camera
+        self._name, self.network, self._camera = name, network, camera
         self._errors = errors or NetworkErrors()
-        self._before = NetworkScale(self._errors, self._errors.log_factor)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=name)
+        self._relative = RelativeFit()
         self._pending: dict[int, tuple[Image, Future[DenseMap]]] = {}
 
     def start(self, frame: Frame) -> None:
@@ -87,23 +92,37 @@ class NetworkDepthRanger(Ranger):
         if pending is None or pending[0] is not frame.left:
             self.skip(frame)
             self.start(frame)
-        raw = self._raw(tracks, self._pending.pop(frame.index)[1].result())
-        corrected = scale.network.get(self._name, self._before).corrected(raw, tracks.class_id)
-        return Measured(corrected, by_network=NetworkDistances(raw, self._errors, tracks.class_id))
-
-    def _raw(self, tracks: Tracks, depths: DenseMap) -> Ranges:
-        """The distances of the network, with the errors of their surfaces alone."""
+        depths = self._pending.pop(frame.index)[1].result()
         values, sigmas = box_surfaces(depths, tracks.xyxy_px)
-        with np.errstate(invalid="ignore", divide="ignore"):
+        values = np.where(tracks.observed, values, np.nan)
+        errors = self._errors
+        if not depths.is_metric:
             if depths.quantity == "inverse_depth":
-                values, sigmas = 1.0 / values, sigmas / values**2
-        is_measured = tracks.observed & (values > 0) & np.isfinite(values)
-        return Ranges(
-            tracks.track_id,
-            np.where(is_measured, values, np.nan),
-            np.where(is_measured, sigmas, np.nan),
-            is_fallback=False,
-        )
+                return Measured(self._by_others(tracks, values, sigmas, others, frame.time_s))
+            errors = replace(errors, drive_sigma=FREE_SIGMA)  # right up to a factor
+        raw = _raw(tracks, depths, values, sigmas)
+        before = NetworkScale(errors, errors.log_factor, errors.drive_sigma_before)
+        corrected = scale.network.get(self._name, before).corrected(raw, tracks.class_id)
+        return Measured(corrected, by_network=NetworkDistances(raw, errors, tracks.class_id))
+
+    def _by_others(
+        self,
+        tracks: Tracks,
+        values: FloatArray,
+        sigmas: FloatArray,
+        others: Mapping[str, Ranges],
+        time_s: float,
+    ) -> Ranges:
+        """Distances by values (N,) that the distances of other methods calibrate: they are not fused
+        where these measured.
+        """
+        known_m, known_sigma_m = np.full((2, len(tracks)), np.nan)
+        for name in _REFERENCES:
+            if (other := others.get(name)) is not None:
+                known_m = np.where(np.isfinite(known_m), known_m, other.distance_m)
+                known_sigma_m = np.where(np.isfinite(known_sigma_m), known_sigma_m, other.sigma_m)
+        self._relative.update(values, known_m, known_sigma_m, time_s)
+        return Ranges(tracks.track_id, *self._relative.distances(values, sigmas))
 
     def close(self) -> None:
         """Drop pending frames and end the thread."""
@@ -112,25 +131,33 @@ class NetworkDepthRanger(Ranger):
     @property
     def notes(self) -> tuple[str, ...]:
         """Messages about the network."""
-        return self._network.notes
+        if not self._relative.is_used:
+            return self.network.notes
+        sentence = (
+            f"The depth network {self._name} is right up to scale and shift: its distances are "
+            "calibrated by those of other methods, and fused only where these have none."
+        )
+        return (*self.network.notes, Note(sentence, "depth-network-relative", "ok", "methods"))
 
     def _depths(self, image: Image) -> DenseMap:
         start_s = time.perf_counter()
-        depths = self._network.measure(image, self._camera.fx_px)
+        depths = self.network.measure(image, self._camera.fx_px)
         self.background_s += time.perf_counter() - start_s
         return depths
 
 
-def box_surfaces(dense: DenseMap, xyxy_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Median of the inner half of each box (N, 4), and its standard deviation, (N,) each."""
-    medians, sigmas = np.full((2, len(xyxy_px)), np.nan)
-    boxes = dense.in_map(xyxy_px)
-    for i, patch in enumerate(inner_halves(boxes, dense.values.shape)):
-        known = None if patch is None else dense.values[patch.window]
-        if known is not None and np.isfinite(known).any():
-            medians[i] = np.nanmedian(known)
-            sigmas[i] = 0.5 * np.nanmedian(np.abs(known - medians[i]))
-    return medians, sigmas
+def _raw(tracks: Tracks, depths: DenseMap, values: FloatArray, sigmas: FloatArray) -> Ranges:
+    """The distances of the network, with the errors of their surfaces alone."""
+    if depths.quantity == "inverse_depth":
+        with np.errstate(invalid="ignore", divide="ignore"):
+            values, sigmas = 1.0 / values, sigmas / values**2
+    is_measured = (values > 0) & np.isfinite(values)
+    return Ranges(
+        tracks.track_id,
+        np.where(is_measured, values, np.nan),
+        np.where(is_measured, sigmas, np.nan),
+        is_fallback=False,
+    )
 
 
 def network_method(name: str) -> RangingMethod:
@@ -156,7 +183,7 @@ def network_method(name: str) -> RangingMethod:
         colour="#b04a78",
         create=create,
         needs=frozenset({"image"}),
-        reads=("mono", "stereo"),
+        reads=_REFERENCES,
         error_sources=(
             ErrorSource("drive_scale", systematic=0.25),
             ErrorSource("network", systematic=0.4),

@@ -46,11 +46,13 @@ class _Shape(NamedTuple):
 
 # a network that is right, one that compresses distances, and one that may say nothing
 _SHAPES = _Shape(0.6, 0.03, 0.02), _Shape(0.25, 0.15, 0.1), _Shape(0.15, 0.5, 0.5)
-_FREE_SIGMA = 3.0  # of n, whose prior is that of the cameras' posterior
+FREE_SIGMA = 3.0  # of n, whose prior is that of the cameras' posterior
+_TAIL_SIGMA = 0.22  # that unusual networks add to that of n before a drive
 _N_ROUNDS, _CAUCHY_SIGMA = 4, 2.0  # of reweighting; scale of the weights in sigmas
 # weights of the sigmas before a drive, in tracks and in frames
 _N_TRACKS_BEFORE, _N_FRAMES_BEFORE = 4.0, 10.0
 _LEAST_SIGMA = 0.02  # of a track, and of a frame
+_FLAT = 0.6  # fall of g at which a network says little of distances
 _USELESS = 1.0  # sigma of log d above which an object is not measured
 
 
@@ -73,6 +75,11 @@ class NetworkErrors:
     class_log_factor: tuple[float, ...] = (0.0,) * _N_CLASSES  # of `SIZE_CLASSES`
     slope: float = 0.0  # mean of the change of g per unit of log d
     is_measured: bool = False  # for this network
+
+    @property
+    def drive_sigma_before(self) -> float:
+        """Sigma of the factor of a drive before its evidence, with the heavy tails of the prior."""
+        return math.hypot(self.drive_sigma, _TAIL_SIGMA)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,19 +115,19 @@ class _Curves(NamedTuple):
     covariance: FloatArray  # (S, P, P)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NetworkScale:
     """The errors of a network in a drive; `NetworkScale()` is that of a network before it."""
 
     errors: NetworkErrors = field(default_factory=NetworkErrors)
     # of the drive at `centre`: mean and sigma of n; the sigma is that of the prior with heavy tails
     log_factor: float = 0.0
-    sigma: float = 0.32
+    sigma: float = 0.31
     track_sigma: float = 0.1
     noise_sigma: float = 0.05
     centre: float = math.log(20.0)  # log d at which n is estimated
     n_tracks: int = 0
-    of_reference: LogFactor = field(default_factory=lambda: LogFactor(0.0, _FREE_SIGMA))
+    of_reference: LogFactor = field(default_factory=lambda: LogFactor(0.0, FREE_SIGMA))
     span: tuple[float, float] = (math.log(10.0), math.log(40.0))  # of log d of the references
     curves: _Curves | None = None  # None = before a drive
 
@@ -158,6 +165,19 @@ class NetworkScale:
         mean = float(self.curves.weight @ values)
         variance = np.einsum("p,spq,q->s", row, self.curves.covariance, row) + (values - mean) ** 2
         return LogFactor(1.0 + mean, math.sqrt(float(self.curves.weight @ variance)))
+
+    @property
+    def reach_m(self) -> float:
+        """Distance, within those of the references, from which on the network's distances hardly
+        change; infinite = there is none.
+        """
+        if self.curves is None:
+            return math.inf
+        slopes = np.diff(self.curves.weight @ self.curves.mean[:, : len(_KNOTS)]) / np.diff(_KNOTS)
+        is_flat = (slopes < -_FLAT) & (_KNOTS[:-1] < self.span[1])
+        is_steep = (slopes >= -_FLAT) & (_KNOTS[:-1] < self.span[1])
+        first = int(np.flatnonzero(is_steep).max(initial=-1)) + 1
+        return float(np.exp(_KNOTS[first])) if is_flat[first:].any() else math.inf
 
     def corrected(self, raw: Ranges, class_id: IntArray) -> Ranges:
         """The network's distances of N tracks of classes (N,) as this drive corrects them."""
@@ -280,7 +300,7 @@ def _solved(
     for shape in _SHAPES:
         prior = np.diag(np.full(len(mean0), errors.class_sigma**2 + class_variance))
         prior[:n_knots, :n_knots] = (
-            _FREE_SIGMA**2
+            FREE_SIGMA**2
             + shape.slope_sigma**2 * np.outer(from_centre, from_centre)
             + shape.change_sigma**2 * reach
         )
