@@ -168,9 +168,9 @@ class OnnxSession(OnnxNetwork):
         return BoundNetwork(self, input_hw)
 
 
-def check_model_file(path: Path) -> None:
-    """Check that an ONNX file has at most 2 GB, and its external data are in its folder; else
-    ModelError.
+def check_model_file(path: Path) -> tuple[Path, ...]:
+    """The files of external data of an ONNX file, checked: it has at most 2 GB, and they are in its
+    folder; else ModelError.
     """
     check_regular(path, ModelError, "an ONNX model", max_bytes=_MAX_MODEL_BYTES)
     if path.stat().st_size == 0:
@@ -179,7 +179,7 @@ def check_model_file(path: Path) -> None:
         raise ModelError(f"{path}: expected an ONNX network, found {kind}.")
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         if content.find(_LOCATION_KEY) < 0:
-            return
+            return ()
     import onnx
 
     # not part of onnxruntime
@@ -202,6 +202,7 @@ def check_model_file(path: Path) -> None:
                 f"{quoted(location)}."
             )
         check_regular(folder / location, ModelError, f"weights of {path.name}")
+    return tuple(folder / location for location in sorted(locations))
 
 
 def _checked_inputs(path: Path, inputs: Sequence[Any]) -> tuple[Any, Any | None]:

@@ -8,7 +8,7 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Callable, Collection, Iterable, Mapping, Sized
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence, Sized
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -30,6 +30,8 @@ from track_range.recording.speed_source import AUTO, OFF
 from track_range.run.options.anonymity import without_folders
 from track_range.run.options.detection import MASK_SUFFIXES
 from track_range.run.options.opened import DetectorOptions, open_detector
+from track_range.run.options.opened_methods import check_networks
+from track_range.run.options.paths import NETWORKS, network_files, paths_of
 from track_range.run.options.precedence import settings_from
 from track_range.run.options.settings import RunSettings
 from track_range.run.options.settings_file import read_settings
@@ -230,14 +232,15 @@ def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan
         )
     files = _shared_files(checked)
     hashes = {}
-    for name, path in files.items():
-        with open_regular(path, UsageError, "a file of the settings") as file:
-            hashes[name] = f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()}"
+    for name, paths in files.items():
+        contents = [_hash_of(path) for path in paths]
+        hashes[name] = contents if name in NETWORKS else contents[0]
     # the detector and the size curves are checked once, instead of in every clip
     load_curves(checked.curves)
     road_class_ids(checked.classes)
-    if (detector := files.get("detector")) is not None:
-        open_detector(detector, replace(DetectorOptions.of(checked), device="cpu"))
+    if "detector" in files:
+        open_detector(files["detector"][0], replace(DetectorOptions.of(checked), device="cpu"))
+    check_networks(checked)
     values = checked.model_dump(mode="json", exclude_none=True)
     # a camera of the settings is that of --rig-camera
     common = {key for key in values if key not in _NOT_TAKEN or key == "camera"}
@@ -245,10 +248,28 @@ def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan
     is_written = "write" in given
     return FleetPlan(
         settings=settings,
-        options={**given, **{name: str(path) for name, path in files.items() if name in given}},
+        options={**given, **_with_absolute(given, files)},
         keys=_keys(hashed, _outputs(settings, checked, is_written), has_reports=settings.reports),
         shared=tuple(files),
     )
+
+
+def _hash_of(path: Path) -> str:
+    with open_regular(path, UsageError, "a file of the settings") as file:
+        return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()}"
+
+
+def _with_absolute(
+    given: Mapping[str, Any], files: Mapping[str, Sequence[Path]]
+) -> dict[str, str | list[str]]:
+    """The given options that are files, with absolute paths."""
+    named = {name: paths for name, paths in files.items() if name in given}
+    return {
+        name: [str(path.absolute()) for path in paths_of(given[name])]
+        if name in NETWORKS
+        else str(paths[0])
+        for name, paths in named.items()
+    }
 
 
 def _keys(values: Mapping[str, Any], outputs: tuple[str, ...], *, has_reports: bool) -> StageKeys:
@@ -307,30 +328,35 @@ def _validated(options: Mapping[str, Any]) -> RunSettings:
         if isinstance(topics, Sized)
         else 0
     )
-    is_pair = options.get("disparity") or options.get("overlay_disparity") or n_topics > 1
+    of_pairs = ("disparity", "overlay_disparity", "stereo_model")
+    is_pair = any(options.get(name) for name in of_pairs) or n_topics > 1
     video = {"stereo": ("left.mp4", "right.mp4")} if is_pair else {"mono": "clip.mp4"}
     return settings_from(
         {**options, **({"stereo": "both.mp4"} if options.get("stereo_layout") else video)}
     )
 
 
-def _shared_files(settings: RunSettings) -> dict[str, Path]:
-    """Files of the settings that all clips share; the other values are words."""
-    files: dict[str, Path] = {}
+def _shared_files(settings: RunSettings) -> dict[str, list[Path]]:
+    """Files of the settings that all clips share, of networks with those beside them; the other
+    values are words.
+    """
+    files: dict[str, list[Path]] = {}
     for name in sorted(_SHARED_FILES):
         value = getattr(settings, name)
         if name == "detector" and value is not None:
             model = find_model(value)
             if model.origin != "catalogue" or model.entry is None:
-                files[name] = model.path.absolute()
+                files[name] = [model.path.absolute()]
         elif name == "ignore":
-            files |= (
-                {name: Path(value).absolute()} if str(value).lower().endswith(MASK_SUFFIXES) else {}
-            )
+            if str(value).lower().endswith(MASK_SUFFIXES):
+                files[name] = [Path(value).absolute()]
+        elif name in NETWORKS:
+            if value:
+                files[name] = [path.absolute() for path in network_files(value)]
         elif isinstance(value, Path) or (
             value is not None and Path(value).suffix and math.isnan(number(value))
         ):
-            files[name] = Path(value).absolute()
+            files[name] = [Path(value).absolute()]
     return files
 
 

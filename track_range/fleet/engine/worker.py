@@ -26,6 +26,8 @@ from track_range.fleet.engine.plan import ClipOutcome, ClipProgress, ClipTask, F
 from track_range.fleet.errors import FleetError
 from track_range.foundation.files.input_files import read_bytes
 from track_range.foundation.processes import is_running, owned_process
+from track_range.run.options.paths import NETWORKS, network_files, paths_of
+from track_range.run.options.settings import RunSettings
 
 # then a new process: it grows by 20 to 45 MB per clip, and a new one takes 2 s for imports
 CLIPS_PER_PROCESS = 20
@@ -36,7 +38,7 @@ _STATE_S = 1.0  # time between two states, s
 _MAX_SHARED_BYTES = 2_000_000_000
 
 # name and content of the files that all clips share, by setting
-SharedFiles = Mapping[str, tuple[str, bytes]]
+SharedFiles = Mapping[str, list[tuple[str, bytes]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,14 +160,18 @@ def shared_files(plan: FleetPlan) -> SharedFiles:
     """The files in the options of a plan, for workers on other machines; raises FleetError if one
     cannot be read.
     """
-    paths = {name: Path(plan.options[name]) for name in plan.shared if name in plan.options}
-    return {
-        name: (
-            path.name,
-            read_bytes(path, FleetError, f"the file of --{name}", max_bytes=_MAX_SHARED_BYTES),
-        )
-        for name, path in paths.items()
-    }
+    files: dict[str, list[tuple[str, bytes]]] = {}
+    for name in plan.shared:
+        paths = paths_of(plan.options.get(name))
+        flag = RunSettings.flag(name)
+        files[name] = [
+            (
+                path.name,
+                read_bytes(path, FleetError, f"a file of {flag}", max_bytes=_MAX_SHARED_BYTES),
+            )
+            for path in (network_files(paths) if name in NETWORKS else paths)
+        ]
+    return files
 
 
 def with_shared_files(plan: FleetPlan, files: SharedFiles, folder: Path) -> FleetPlan:
@@ -173,9 +179,13 @@ def with_shared_files(plan: FleetPlan, files: SharedFiles, folder: Path) -> Flee
     is used.
     """
     options = dict(plan.options)
-    for setting, (name, content) in files.items():
-        path = folder / setting / name
-        path.parent.mkdir(parents=True)
-        path.write_bytes(content)
-        options[setting] = str(path)
+    for setting, contents in files.items():
+        if not contents:
+            continue
+        parent = folder / setting
+        parent.mkdir(parents=True)
+        for name, content in contents:
+            (parent / name).write_bytes(content)
+        copies = [str(parent / path.name) for path in paths_of(options[setting])]
+        options[setting] = copies if setting in NETWORKS else copies[0]
     return replace(plan, options=options)

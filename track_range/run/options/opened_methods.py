@@ -1,7 +1,11 @@
 """The ranging methods of a run as its options choose them."""
 
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
 
+from track_range.detection.models.onnx_session import ModelError, Runtime
+from track_range.foundation.errors import UserError
 from track_range.pipeline.ranging import RangingStage
 from track_range.ranging.methods.method import (
     MethodContext,
@@ -9,8 +13,10 @@ from track_range.ranging.methods.method import (
     RangingMethod,
     Requirement,
 )
+from track_range.ranging.networks.network import open_depth_network, open_stereo_network
 from track_range.ranging.registry import create_rangers, methods, methods_of_run
 from track_range.run.options.methods import RunMethodOptions
+from track_range.run.options.opened import DetectorOptions, open_detector
 
 # what a run lacks, and the options that give it
 _LACKS: Mapping[Requirement, str] = {
@@ -35,7 +41,8 @@ def open_methods(options: RunMethodOptions, context: MethodContext) -> RangingSt
     for method in listed:
         if method.name in asked_for:
             _check_measurable(method, context)
-    rangers = create_rangers(context, listed)
+    with _named_detectors(options):
+        rangers = create_rangers(context, listed)
     shown_only = {method.name for method in listed if not method.fuses}
     if options.show_only and shown_only >= rangers.keys():
         raise MethodError(
@@ -43,6 +50,40 @@ def open_methods(options: RunMethodOptions, context: MethodContext) -> RangingSt
             f"fewer than all methods of this run ({', '.join(rangers)})."
         )
     return RangingStage(rangers, shown_only=frozenset(shown_only & rangers.keys()))
+
+
+def check_networks(options: RunMethodOptions) -> None:
+    """Open the networks of a run; raises the error of one that cannot be used."""
+    runtime = Runtime(device="cpu")
+    with _named_detectors(options):
+        for path in options.depth_model:
+            open_depth_network(path, runtime)
+        for path in options.stereo_model:
+            open_stereo_network(path, runtime)
+
+
+@contextmanager
+def _named_detectors(options: RunMethodOptions) -> Iterator[None]:
+    """The error of a network that is a detector, with the option for it."""
+    try:
+        yield
+    except ModelError as error:
+        given = {"--depth-model": options.depth_model, "--stereo-model": options.stereo_model}
+        for flag, path in ((flag, path) for flag, paths in given.items() for path in paths):
+            if _is_detector(path):
+                raise ModelError(
+                    f"{path}: expected a network that measures for {flag}, found a detector; give it "
+                    "by --detector."
+                ) from error
+        raise
+
+
+def _is_detector(path: Path) -> bool:
+    try:
+        open_detector(path, DetectorOptions(device="cpu"))
+    except UserError:
+        return False
+    return True
 
 
 def _check_measurable(method: RangingMethod, context: MethodContext) -> None:

@@ -14,6 +14,10 @@ INPUT_FILES = {name for name in FILES if RunSettings.stage_of(name) != "outputs"
 PATHS = RunSettings.fields_where(is_path)
 
 
+# settings that are networks, whose files have others beside them
+NETWORKS = ("depth_model", "stereo_model")
+
+
 def files_by_setting(settings: RunSettings) -> dict[str, list[Path]]:
     """Files and folders that a run reads, by the name of the setting, or `left` and `right`; words
     that are given instead of files name none.
@@ -24,7 +28,25 @@ def files_by_setting(settings: RunSettings) -> dict[str, list[Path]]:
     }
     named = {name: getattr(settings, name) for name in sorted(INPUT_FILES)}
     given = {name: paths_of(value) for name, value in named.items()}
+    given |= {name: network_files(given[name]) for name in NETWORKS}
     return {**videos, **{name: paths for name, paths in given.items() if paths}}
+
+
+def network_files(paths: Sequence[Path]) -> list[Path]:
+    """The ONNX files of networks, each with its settings and its weights, if it has files of them;
+    ModelError: one is no ONNX file.
+    """
+    if not paths:
+        return []
+    from track_range.detection.models.onnx_session import check_model_file  # imports onnxruntime
+    from track_range.ranging.networks.recognition import settings_file
+
+    files: list[Path] = []
+    for path in paths:
+        weights = check_model_file(path)
+        settings = settings_file(path)
+        files += [path, *([settings] if settings.is_file() else []), *weights]
+    return files
 
 
 def input_files(settings: RunSettings) -> list[Path]:

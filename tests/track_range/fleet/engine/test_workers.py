@@ -13,6 +13,7 @@ import pytest
 
 pytest.importorskip("ray")
 
+from tests.support.networks.depth_networks import write_depth
 from tests.track_range.fleet.killing import killed_workers
 from tests.track_range.fleet.ray_clusters import OBJECT_STORE_BYTES
 from tests.track_range.fleet.stub_clips import process_stub, stub_clips
@@ -231,6 +232,18 @@ def test_shared_files_reach_other_machines(tmp_path):
     assert Path(copied.options["names"]).read_text() == "car\nbus\n"
     assert Path(copied.options["names"]).name == "names.txt"
     assert copied.options["sgbm"] is False
+
+
+def test_networks_reach_other_machines_with_their_settings(tmp_path):
+    models = [write_depth(tmp_path / name, constant=9.0) for name in ("a.onnx", "b.onnx")]
+    settings = FleetSettings(recordings=("x",), out=str(tmp_path))
+    made = plan.fleet_plan(settings, {"depth_model": models})
+    copied = with_shared_files(made, shared_files(made), tmp_path / "worker")
+    copies = [Path(path) for path in copied.options["depth_model"]]
+    assert [path.name for path in copies] == ["a.onnx", "b.onnx"]
+    for copy, model in zip(copies, models, strict=True):
+        assert copy.read_bytes() == model.read_bytes()
+        assert copy.with_suffix(".yaml").read_text() == model.with_suffix(".yaml").read_text()
 
 
 def test_second_driver_is_refused(run, tmp_path):
