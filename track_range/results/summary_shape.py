@@ -141,6 +141,8 @@ _SUMMARY = _section(
     **_all(dict[str, Any], "inputs settings versions"),
     files=dict[str, Text],
     notes=list[Text],
+    shown_only=list[Text],
+    networks=list[dict[str, Any]],
     health=list[dict[str, Any]] | None,
     utc=_section(**_all(Text, "start source"), uncertainty_s=Figure) | None,
     ego_speed=_section(source=Text, **_all(Figure, "offset_s offset_sigma_s median_mps coverage"))

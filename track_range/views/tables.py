@@ -17,6 +17,7 @@ from typing import Any
 from track_range.foundation.bootstrap import CI95
 
 NOTHING = "-"  # text of a value that was not measured
+NOT_FUSED = " (not fused)"  # after the names of methods that are only shown
 SIGMA = "\N{GREEK SMALL LETTER SIGMA}"
 WITHIN_1_SIGMA, WITHIN_2_SIGMA = 0.6827, 0.9545  # of a normal distribution
 
@@ -224,7 +225,7 @@ def accuracy_grids(summary: Summary) -> list[Grid]:
     )
     tables = [
         *_distance_grids(summary, has_errors=has_errors),
-        class_grid(methods),
+        class_grid(_by_shown_name(summary)),
         closing_grid(summary.get("closing") or {}),
         lateral_grid(summary.get("lateral") or {}),
     ]
@@ -237,12 +238,23 @@ def _distance_grids(summary: Summary, *, has_errors: bool) -> tuple[Grid, Grid]:
         if has_errors
         else "Coverage of each method"
     )
-    common = summary.get("common") or {}
+    common = _by_shown_name(summary, "common")
     n = max((figure(row, "n") or 0 for row in common.values()), default=0)
     common_title = (
         f"Distance error on common coverage ({n:.0f} track-frames measured by all methods)"
     )
-    return method_grid(title, summary.get("methods") or {}), method_grid(common_title, common)
+    return method_grid(title, _by_shown_name(summary)), method_grid(common_title, common)
+
+
+def _by_shown_name(summary: Summary, section: str = "methods") -> dict[str, Mapping[str, Any]]:
+    """The methods of a section by the names that tables have."""
+    return {shown_name(summary, name): row for name, row in (summary.get(section) or {}).items()}
+
+
+def shown_name(summary: Summary, name: str) -> str:
+    """Name of a distance, with a mark if the run only shows it and does not fuse it."""
+    is_shown_only = name.removesuffix("_kf") in (summary.get("shown_only") or ())
+    return f"{name}{NOT_FUSED}" if is_shown_only else name
 
 
 def method_grid(
@@ -321,7 +333,7 @@ def uncertainty_grid(summary: Summary) -> Grid:
     return grid_of(
         "Reported uncertainty (median relative sigma) and run time",
         "method",
-        list(methods),
+        [shown_name(summary, name) for name in methods],
         columns,
     )
 

@@ -477,7 +477,9 @@ def _is_by_pair(result: FrameResult, row: int) -> bool:
     return any(
         bool(np.isfinite(result.ranges[one.name].distance_m[row]))
         for one in methods()
-        if "right_image" in one.needs and one.name in result.ranges
+        if "right_image" in one.needs
+        and one.name in result.ranges
+        and one.name not in result.shown_only
     )
 
 

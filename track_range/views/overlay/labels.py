@@ -33,6 +33,7 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.registry import methods
 from track_range.ranging.warning.safety import apart_m
 from track_range.results.counts.counter import KMH
+from track_range.views.tables import NOT_FUSED
 
 # smallest closing speed that is shown; slower ones are within the noise of the distance filter
 CLOSING_SHOWN_MPS = 0.5
@@ -214,7 +215,10 @@ def corner_lines(
     shown = [
         method for method in methods() if method.measures_distance and method.name in result.ranges
     ]
-    letters = [f"{method.letter} {method.title}" for method in shown]
+    letters = [
+        f"{method.letter} {method.title}{NOT_FUSED if method.name in result.shown_only else ''}"
+        for method in shown
+    ]
     legend = "   ".join([f"large: {large} ±1 sigma", *letters, "dashed: predicted"])
     return [clock], [[Span(legend, size_px, REGULAR, GREY)]]
 

@@ -234,6 +234,7 @@ def run_content(
         "methods": [
             {
                 "name": name,
+                "label": tables.shown_name(summary, name),
                 "colour": colours[name],
                 "shown": not (name.endswith("_kf") and name[:-3] in names),
             }

@@ -331,8 +331,17 @@ def sigma_sentences(summary: Summary) -> list[str]:
 
 def settings_groups(summary: Summary) -> Iterator[dict[str, Any]]:
     """Inputs, settings and versions of a run as rows of dotted names and values."""
-    for key in ("inputs", "settings", "versions"):
-        rows = list(flattened(summary.get(key) or {}))
+    networks = {
+        str(one.get("method")): {key: one[key] for key in one if key != "method"}
+        for one in summary.get("networks") or ()
+    }
+    for key, of_key in (
+        ("inputs", summary.get("inputs")),
+        ("networks", networks),
+        ("settings", summary.get("settings")),
+        ("versions", summary.get("versions")),
+    ):
+        rows = list(flattened(of_key or {}))
         if rows:
             yield {"name": key.capitalize(), "rows": rows}
 

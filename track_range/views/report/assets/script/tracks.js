@@ -12,7 +12,7 @@ function swatch(attributes) {
 
 function startLegend(legend, hasTruth) {
   const buttons = methods.map((method) => {
-    const button = element("button", { type: "button", "data-method": method.name }, swatch(strokeOf(method)), method.name);
+    const button = element("button", { type: "button", "data-method": method.name }, swatch(strokeOf(method)), method.label);
     button.addEventListener("click", () => {
       method.shown = !method.shown;
       for (const twin of document.querySelectorAll(".legend button"))
