@@ -55,8 +55,9 @@ from track_range.results.table import RecentRows
 from track_range.run.box_source import boxes_of, network_source, outside_regions
 from track_range.run.build import open_pipeline, warm_up
 from track_range.run.options.opened import open_detector
+from track_range.run.options.opened_methods import check_networks
 from track_range.run.options.python_keywords import options_and_objects, pipeline_options
-from track_range.run.options.settings import PipelineOptions, RunSettings
+from track_range.run.options.settings import NEEDS_PAIR, PipelineOptions, RunSettings
 from track_range.run.ready_model import ready_model
 from track_range.run.reports.visibility import Visibility
 from track_range.stereo.alignment.file import load_alignment
@@ -231,6 +232,9 @@ class Pipeline:
         self._is_closed = False
         self._tracker, self._has_detector = tracker, detector is not None
         load_curves(options.curves, options.region or "unknown")
+        if options.stereo_model and not cameras.is_pair:
+            raise ConfigError(NEEDS_PAIR)
+        check_networks(options)
         if detector is not None:
             self._boxes = boxes_of(detector)
         else:

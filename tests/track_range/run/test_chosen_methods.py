@@ -2,16 +2,18 @@
 
 import csv
 import json
+import pickle
 import re
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import track_range as tr
-from tests.support.networks.depth_networks import write_depth
+from tests.support.networks.depth_networks import write_depth, write_stereo
 from tests.toys.toy_method import TOY
-from track_range.foundation.errors import UsageError
+from track_range.foundation.errors import UsageError, UserError
 from track_range.ranging import registry
 from track_range.results.folder import read_run_folder
 
@@ -135,8 +137,9 @@ def test_depth_network(mono_run, network):
     assert len(described["sha256"]) == 64
     assert described["device"] == "cpu"
     assert summary["stages_ms"]["depth"] == described["ms_per_frame"] > 0
-    hashed = {file["role"]: file.get("sha256") for file in summary["provenance"]["files"]}
-    assert hashed["depth_model"] == described["sha256"]
+    files = [file for file in summary["provenance"]["files"] if file["role"] == "depth_model"]
+    assert [file["name"] for file in files] == ["net.onnx", "net.yaml"]
+    assert files[0]["sha256"] == described["sha256"]
 
 
 def test_several_networks_have_the_names_of_their_files(mono_run, network):
@@ -173,6 +176,15 @@ def test_what_a_run_cannot_have_is_said(mono_run, options, status, words):
     assert re.search(words, mono_run(*options, status=status))
 
 
+def test_unusable_networks_of_a_pipeline_are_said_before_the_first_frame(network, tmp_path):
+    with pytest.raises(UserError, match=r"none\.onnx: no such file"):
+        tr.Pipeline.mono(focal_px=200.0, depth_model=tmp_path / "none.onnx")
+    with pytest.raises(UserError, match=r"stereo_model= .*depth_model="):
+        tr.Pipeline.mono(focal_px=200.0, stereo_model=write_stereo(tmp_path / "stereo.onnx"))
+    with pytest.raises(UserError, match="depth network for depth_model, found a stereo network"):
+        tr.Pipeline.mono(focal_px=200.0, depth_model=write_stereo(tmp_path / "stereo.onnx"))
+
+
 def test_equal_names_of_two_networks(mono_run, network):
     one, two = network("a_b.onnx"), network("a-b.onnx")
     complaint = mono_run("--depth-model", one, "--depth-model", two, status=2)
@@ -191,3 +203,34 @@ def test_keywords_in_python(mono_run, network, tmp_path):
     assert results[-1].shown_only == {"depth"}
     with pytest.raises(UsageError, match="methods: unknown ranging method 'mnoo'"):
         tr.Run.mono(tmp_path / "film.mp4", **given, methods="mnoo")
+
+
+def test_a_restored_pipeline_has_its_networks(network, tmp_path):
+    """The network is opened again, from its file; everything else goes on as it was."""
+    options = {"sgbm": False, "deterministic": True, "depth_model": network(), "lanes": "off"}
+    images = np.random.default_rng(0).integers(0, 256, (6, 240, 320, 3), np.uint8)
+    boxes = OneBox()
+    with tr.Pipeline.mono(focal_px=200.0, detector=boxes, **options) as whole:
+        for k in range(4):
+            whole.step(images[k], 0.1 * k)
+        state = pickle.loads(pickle.dumps(whole.state()))  # noqa: S301 - our own
+        wanted = [whole.step(images[k], 0.1 * k) for k in (4, 5)]
+        table = whole.to_arrow()
+    assert np.isfinite(wanted[-1].ranges["depth"].distance_m).all()
+    with tr.Pipeline.restore(state, detector=boxes) as again:
+        for k, expected in zip((4, 5), wanted, strict=True):
+            found = again.step(images[k], 0.1 * k).ranges["depth"]
+            np.testing.assert_array_equal(found.distance_m, expected.ranges["depth"].distance_m)
+            np.testing.assert_array_equal(found.sigma_m, expected.ranges["depth"].sigma_m)
+        assert again.to_arrow().equals(table)
+        assert "depth_m" in table.column_names
+    (tmp_path / "net.onnx").unlink()
+    with pytest.raises(UserError, match=r"net\.onnx"):
+        tr.Pipeline.restore(state, detector=boxes)
+
+
+class OneBox:
+    """A detector that sees a car at the same place in every image."""
+
+    def detect(self, image):
+        return tr.Detections.of([(100.0, 60.0, 200.0, 160.0)], [0.9], [2])

@@ -70,6 +70,12 @@ class RunSettings(OutputOptions, PipelineOptions, TruthOptions, InputOptions):
         return self.stereo is not None and self.sgbm and is_chosen
 
 
+NEEDS_PAIR = (
+    "--stereo-model measures with two cameras: give a pair, or the network of one camera by "
+    "--depth-model."
+)
+
+
 class Contradiction(NamedTuple):
     """A rule between options."""
 
@@ -151,8 +157,7 @@ _CONTRADICTIONS = (
     Contradiction(
         ("stereo_model", "stereo", "mono"),
         lambda run: bool(run.stereo_model) and run.stereo is None,
-        "--stereo-model measures with two cameras: give --stereo LEFT RIGHT, or the network of one "
-        "camera by --depth-model",
+        NEEDS_PAIR.removesuffix("."),
     ),
     Contradiction(
         ("overlay_disparity", "stereo", "mono", "sgbm", "overlay"),
