@@ -54,6 +54,7 @@ METHODS = Registry(
         "sgbm": "track_range.ranging.methods.dense_stereo:SGBM",
         "expansion": "track_range.ranging.methods.expansion:EXPANSION",
         "depth": "track_range.ranging.methods.network_depth:DEPTH",
+        "disparity": "track_range.ranging.methods.network_disparity:DISPARITY",
     },
     RangingMethod,
     _check,
@@ -63,6 +64,7 @@ METHODS = Registry(
 # name is KIND-FILE, that of a single network KIND, which is a built-in method
 NETWORK_METHODS: dict[str, Callable[[str], RangingMethod] | str] = {
     "depth": "track_range.ranging.methods.network_depth:network_method",
+    "disparity": "track_range.ranging.methods.network_disparity:network_method",
 }
 
 _LETTERS = string.ascii_uppercase + string.digits

@@ -4,7 +4,11 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray, FloatArray32
 from track_range.ranging.measurement.dense_map import DenseMap
-from track_range.stereo.matching.dense_surfaces import map_surfaces
+from track_range.stereo.matching.dense_surfaces import (
+    MIN_KNOWN,
+    SCATTER_FRACTION,
+    map_surfaces,
+)
 
 # Planes of the scene are planes of inverse depth as they are of disparity; its unit is chosen so
 # that the near parts of a map have the disparities of a usual pair, for which the smallest
@@ -12,7 +16,13 @@ from track_range.stereo.matching.dense_surfaces import map_surfaces
 _NEAR_PX, _NEAR_PERCENTILE = 100.0, 90.0
 
 
-def box_surfaces(dense: DenseMap, xyxy_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+def box_surfaces(
+    dense: DenseMap,
+    xyxy_px: FloatArray,
+    *,
+    min_known: float = MIN_KNOWN,
+    scatter_fraction: float = SCATTER_FRACTION,
+) -> tuple[FloatArray, FloatArray]:
     """Values at the centres of boxes (N, 4), and their standard deviations, (N,) each, in the
     quantity and the unit of the map.
 
@@ -20,13 +30,21 @@ def box_surfaces(dense: DenseMap, xyxy_px: FloatArray) -> tuple[FloatArray, Floa
     what is seen beside or through it. Sigma is what the pixels of the box show: their scatter, the
     tilt of the surface, other surfaces, the resolution of the map; not an error that the pixels of
     an object share. NaN for boxes that are not finite, smaller than two pixels of the map, without
-    enough known pixels, or without a probable surface.
+    enough known pixels, or without a probable surface. `min_known` is the smallest fraction of a
+    box's windows with known pixels, `scatter_fraction` the fraction of the scatter that contributes
+    to sigma.
     """
     unit = _unit(dense)
     if not np.isfinite(unit):
         return np.full(len(xyxy_px), np.nan), np.full(len(xyxy_px), np.nan)
     disparity = _as_disparity(dense, unit)
-    d, sigma_d = map_surfaces(disparity, dense.in_map(xyxy_px), dense.confidence)
+    d, sigma_d = map_surfaces(
+        disparity,
+        dense.in_map(xyxy_px),
+        dense.confidence,
+        min_known=min_known,
+        scatter_fraction=scatter_fraction,
+    )
     if dense.quantity == "depth":
         z = unit / d
         return z, z * sigma_d / d

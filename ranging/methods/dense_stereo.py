@@ -1,25 +1,18 @@
 """DenseRanger: stereo distance from the dense disparity image of semi-global matching (SGBM)."""
 
-import time
-from concurrent.futures import Future, ThreadPoolExecutor
-
-import numpy as np
-
-from track_range.foundation.arrays import FloatArray32
-from track_range.ranging.measurement.ranges import Ranges
+from track_range.foundation.arrays import FloatArray
+from track_range.ranging.measurement.dense_map import DenseMap
+from track_range.ranging.measurement.dense_surfaces import box_surfaces
+from track_range.ranging.methods.dense_ranger import DisparityMapRanger
 from track_range.ranging.methods.method import ErrorSource, MethodContext, Ranger, RangingMethod
-from track_range.ranging.methods.triangulation import Triangulation
 from track_range.stereo.geometry.alignment import Alignment
-from track_range.stereo.geometry.frames import Frame, ImageView, whole_image
+from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.matching.sgbm import Sgbm, SgbmSettings, inner_half_median
-from track_range.tracking.tracks import Tracks
+from track_range.stereo.matching.sgbm import Sgbm, SgbmSettings
 
 
-class DenseRanger(Ranger):
-    """Ranges each box by the median dense disparity in its inner half; matching runs in a
-    background thread.
-    """
+class DenseRanger(DisparityMapRanger):
+    """Ranges each box by the disparities of semi-global matching."""
 
     def __init__(
         self,
@@ -28,52 +21,27 @@ class DenseRanger(Ranger):
         *,
         alignment: Alignment | None = None,
     ) -> None:
-        """Create a ranger for a rectified rig; `alignment` corrects its disparities, None = that of
-        each frame, or of the rig.
-        """
-        self._rig, self._given = rig, alignment
-        self._triangulate = Triangulation(rig)
+        """Create a ranger for a rectified rig; see `DisparityMapRanger`."""
+        super().__init__("sgbm", rig, alignment=alignment)
         self._settings = settings or SgbmSettings.for_rig(rig)
         self._sgbm = Sgbm(self._settings)
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="sgbm")
-        # by frame: the right image, and its disparities
-        self._pending: dict[int, tuple[ImageView | None, Future[FloatArray32]]] = {}
 
-    def start(self, frame: Frame) -> None:
-        """Compute the disparity image of a frame in the background; `measure` waits for it."""
-        self._pending[frame.index] = frame.right, self._thread.submit(self._disparity, frame)
-
-    def skip(self, frame: Frame) -> None:
-        """Drop the disparity image of a frame."""
-        pending = self._pending.pop(frame.index, None)
-        if pending is not None:
-            pending[1].cancel()
-
-    def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances of observed boxes with enough valid disparities; NaN for other boxes."""
-        pending = self._pending.get(frame.index)
-        if pending is None or pending[0] is not frame.right:
-            self.skip(frame)
-            self.start(frame)
-        self.disparity = disparity = self._pending.pop(frame.index)[1].result()
-        disparity_px, sigma_px = inner_half_median(
-            disparity, tracks.xyxy_px, settings=self._settings
-        )
-        disparity_px = np.where(tracks.observed, disparity_px, np.nan)
-        alignment = self._given or self._rig.alignment_of(frame)
-        return self._triangulate.ranges(tracks, disparity_px, sigma_px, alignment)
-
-    def close(self) -> None:
-        """Drop pending frames and end the thread."""
-        self._thread.shutdown(wait=True, cancel_futures=True)
-
-    def _disparity(self, frame: Frame) -> FloatArray32:
+    def map_of(self, frame: Frame) -> DenseMap | None:
+        """The disparities of a frame; None without a right image."""
         if frame.right is None:
-            return np.full(frame.left.shape[:2], np.nan, np.float32)
-        start_s = time.perf_counter()
+            return None
         disparity = self._sgbm.dense_disparity(frame.left, whole_image(frame.right))
-        self.background_s += time.perf_counter() - start_s
-        return disparity
+        return DenseMap(disparity, "disparity", (disparity.shape[0], disparity.shape[1]))
+
+    def surfaces(self, dense: DenseMap, xyxy_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See `DisparityMapRanger`; with the parameters that the user set."""
+        settings = self._settings
+        return box_surfaces(
+            dense,
+            xyxy_px,
+            min_known=settings.min_valid_share,
+            scatter_fraction=settings.shape_share,
+        )
 
 
 def _create(context: MethodContext) -> Ranger | None:

@@ -19,8 +19,8 @@ import numpy as np
 
 from track_range.detection.box_errors import BoxErrors
 from track_range.detection.lanes.lines import LaneLines
-from track_range.foundation.arrays import FloatArray32
 from track_range.foundation.errors import UserError
+from track_range.ranging.measurement.dense_map import DenseMap
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.network_scale import NetworkDistances
@@ -126,14 +126,14 @@ class Ranger(ABC):
     Attributes:
         background_s: seconds of work so far in the ranger's own threads; a run adds them to the
             time of its stage.
-        disparity: (H, W) dense disparity in px of the frame measured last, in the left image, NaN =
-            unknown, for the overlay; None = the method computes none.
+        dense: depths or disparities of all pixels of the frame measured last, for the overlay and
+            the files of depth; None = the method computes none.
         network: the network that it measures with, if any. A stored state of a pipeline does not
             contain it, and a run adds its notes to those of the method.
     """
 
     background_s: float = 0.0
-    disparity: FloatArray32 | None = None
+    dense: DenseMap | None = None
     network: OpenedNetwork | None = None
 
     @abstractmethod

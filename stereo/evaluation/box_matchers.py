@@ -1,7 +1,7 @@
 """Stereo matchers by name, and their comparison on pairs with true disparities.
 
 patch                                       track-range's patch matcher
-sgbm                                        dense matching as in a run: median of the inner half of each box
+sgbm                                        dense matching as in a run: the surface of the object in each box
 sgbm-3way, sgbm-5way, sgbm-hh, sgbm-hh4     dense matching with other aggregation directions (OpenCV's modes)
 NAME-centre                                 a dense matcher, sampled at the centre pixel of the box (Guo Pengyu)
 """
@@ -18,6 +18,7 @@ from track_range.stereo.evaluation.disparity_errors import MatcherColumn, Object
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
 from track_range.stereo.geometry.frames import ImageView, whole_image
 from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.matching.dense_surfaces import map_surfaces
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
 from track_range.stereo.matching.patch_matches import (
     BoxMatcher,
@@ -30,7 +31,6 @@ from track_range.stereo.matching.sgbm import (
     Sgbm,
     SgbmSettings,
     centre_disparity,
-    inner_half_median,
 )
 
 CENTRE = "-centre"
@@ -49,7 +49,7 @@ class DenseMatcher:
 
     def __init__(self, settings: SgbmSettings, *, is_centre: bool = False) -> None:
         self._sgbm, self._settings = Sgbm(settings), settings
-        self._read = centre_disparity if is_centre else inner_half_median
+        self._is_centre = is_centre
 
     def match(
         self,
@@ -61,7 +61,16 @@ class DenseMatcher:
     ) -> PatchMatches:
         """See `BoxMatcher.match`; the outcome of boxes without a disparity is NO_TEXTURE."""
         dense = self._sgbm.dense_disparity(left, whole_image(right))
-        disparity_px, sigma_px = self._read(dense, xyxy_px, settings=self._settings)
+        settings = self._settings
+        if self._is_centre:
+            disparity_px, sigma_px = centre_disparity(dense, xyxy_px, settings=settings)
+        else:
+            disparity_px, sigma_px = map_surfaces(
+                dense,
+                xyxy_px,
+                min_known=settings.min_valid_share,
+                scatter_fraction=settings.shape_share,
+            )
         outcome = np.where(np.isnan(disparity_px), int(Outcome.NO_TEXTURE), int(Outcome.MATCHED))
         return PatchMatches.of(disparity_px, sigma_px, outcome)
 

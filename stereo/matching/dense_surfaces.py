@@ -23,7 +23,6 @@ from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32
 from track_range.stereo.matching.patch_matches import ExpectedDisparity
 from track_range.stereo.matching.surface_choice import (
     OF_MAPS,
-    ChoiceModel,
     choose_surface,
     features,
 )
@@ -38,14 +37,14 @@ _N_SIDE, _N_SUB = 9, 3  # windows per side of a box, and sampled pixels per side
 # of a box's sides that its windows cover, about its centre; the rest is mostly background
 _BOX_FRACTION = 0.6
 _MIN_SIDE_PX = 2.0  # smallest side of a box, px of the map
-_MIN_KNOWN = 0.15  # smallest fraction of windows with a known pixel
+MIN_KNOWN = 0.2  # smallest fraction of windows with a known pixel
 _MIN_PROBABILITY = 0.4  # smallest probability of the surface to be the object
 _WELL_MATCHED_BITS = 5.0  # cost of all windows, for the choice
 # Parts of sigma, as in `PatchMatcherSettings`: 1 and 2 sigma hold 68 and 95 % of the errors in maps
 # of the simulation (seeds 0-9) with noise, blur, holes, at lower resolution, and of semi-global
 # matching.
 _FLOOR_PX, _FLOOR_FRACTION = 0.1, 0.008
-_SCATTER_FRACTION, _TILT_FRACTION = 0.6, 0.12
+SCATTER_FRACTION, _TILT_FRACTION = 0.6, 0.12
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,14 +112,16 @@ def map_surfaces(
     xyxy_px: FloatArray,
     confidence: FloatArray32 | None = None,
     *,
-    choice_model: ChoiceModel = OF_MAPS,
+    min_known: float = MIN_KNOWN,
+    scatter_fraction: float = SCATTER_FRACTION,
 ) -> tuple[FloatArray, FloatArray]:
     """Disparity at the centre of boxes (N, 4) in pixels of a map, and its standard deviation, (N,)
     px of the map each.
 
     `disparity` (h, w) is in px of the map, NaN or not above 0 = unknown; `confidence` (h, w) are
-    weights from 0 to 1. NaN for boxes that show too few known pixels or no surface that probably is
-    the object, that are smaller than 2 px of the map, or not finite.
+    weights from 0 to 1; for the other arguments, see `box_surfaces` of `ranging.measurement`. NaN
+    for boxes that show too few known pixels or no surface that probably is the object, that are
+    smaller than 2 px of the map, or not finite.
     """
     measured = np.full((2, len(xyxy_px)), np.nan)
     with np.errstate(invalid="ignore"):
@@ -130,11 +131,11 @@ def map_surfaces(
     rows = np.flatnonzero(is_near & is_large)
     if len(rows):
         windows = map_windows(disparity, xyxy_px[rows], confidence)
-        measured[:, rows] = _measured(windows, choice_model)
+        measured[:, rows] = _measured(windows, min_known, scatter_fraction)
     return measured[0], measured[1]
 
 
-def _measured(windows: MapWindows, choice_model: ChoiceModel) -> FloatArray:
+def _measured(windows: MapWindows, min_known: float, scatter_fraction: float) -> FloatArray:
     """(2, N) disparities at the boxes' centres and their standard deviations, px of the map."""
     n = len(windows.u)
     rows, unknown = np.arange(n), np.full(n, np.nan)
@@ -147,7 +148,7 @@ def _measured(windows: MapWindows, choice_model: ChoiceModel) -> FloatArray:
         track_px=unknown,
         others_fraction=np.zeros(windows.u.shape),
     )
-    choice = choose_surface(phi, surfaces, choice_model)
+    choice = choose_surface(phi, surfaces, OF_MAPS)
     is_object = surfaces.is_member[choice.chosen, rows]
     terms = surface_terms(windows.u, windows.v)
     weight = windows.weight * centre_weights(windows.u, windows.v)
@@ -168,10 +169,10 @@ def _measured(windows: MapWindows, choice_model: ChoiceModel) -> FloatArray:
     for sigma in (
         _FLOOR_PX,
         _FLOOR_FRACTION * d,
-        _SCATTER_FRACTION * scatter,
+        scatter_fraction * scatter,
         _TILT_FRACTION * tilt,
     ):
         variance = variance + np.square(sigma)
-    is_known = (windows.weight > 0).mean(axis=1) >= _MIN_KNOWN
+    is_known = (windows.weight > 0).mean(axis=1) >= min_known
     is_measured = is_known & (choice.probability[choice.chosen, rows] >= _MIN_PROBABILITY) & (d > 0)
     return np.where(is_measured, np.array([d, np.sqrt(variance)]), np.nan)

@@ -67,9 +67,9 @@ class SgbmSettings:
     speckle_window_size: int = 100  # regions with fewer pixels are removed
     speckle_range: int = 2  # largest disparity difference within a region, px
     pre_filter_cap: int = 63  # limit at which the compared x-derivative is truncated
-    min_valid_share: float = 0.2  # minimum fraction of known pixels in the inner half of a box
-    # fraction of the scatter inside the inner half that contributes to sigma
-    shape_share: float = 0.3
+    min_valid_share: float = 0.2  # minimum fraction of a box's middle with known pixels
+    # fraction of the scatter of the box's disparities that contributes to sigma
+    shape_share: float = 0.6
 
     def __post_init__(self) -> None:
         for name, is_valid, expected in _checks(self):
@@ -225,26 +225,6 @@ def inner_halves(
             if usable
             else None
         )
-
-
-def inner_half_median(
-    disparity: DisparityMap | FloatArray,
-    xyxy_px: FloatArray,
-    *,
-    settings: SgbmSettings | None = None,
-) -> tuple[FloatArray, FloatArray]:
-    """Median disparity of the inner half of each box (N, 4), and its standard deviation, (N,)
-    pixels each.
-
-    NaN where too few pixels are known, and for boxes outside the image, smaller than 2 px or not
-    finite.
-    """
-    settings = settings or SgbmSettings()
-    median_px, sigma_px = np.full(len(xyxy_px), np.nan), np.full(len(xyxy_px), np.nan)
-    for i, patch in enumerate(inner_halves(xyxy_px, disparity.shape)):
-        if patch is not None:
-            median_px[i], sigma_px[i] = _median_and_sigma(disparity, patch, settings)
-    return median_px, sigma_px
 
 
 def centre_disparity(

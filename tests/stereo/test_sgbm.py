@@ -15,7 +15,6 @@ from track_range.stereo.matching.sgbm import (
     SgbmSettings,
     centre_disparity,
     disparity_picture,
-    inner_half_median,
 )
 
 
@@ -74,47 +73,6 @@ def test_grey_right_and_colour_left_image() -> None:
     assert np.array_equal(
         both_grey, Sgbm().dense_disparity(np.dstack([left] * 3), right), equal_nan=True
     )
-
-
-def test_the_median_of_the_inner_half_by_hand() -> None:
-    disparity = np.full((40, 40), np.nan, np.float32)
-    disparity[10:30, 10:30] = 50.0  # the box's inner half
-    disparity[10:30, 10:18] = 48.0
-    disparity[:10] = disparity[30:] = 5.0  # the outer part does not count
-    settings = SgbmSettings(shape_share=0.5)
-    median, sigma = inner_half_median(
-        disparity, np.array([[-0.5, -0.5, 39.5, 39.5]]), settings=settings
-    )
-    assert median[0] == 50.0
-    assert sigma[0] == pytest.approx(0.15)  # most pixels agree, so the median deviation is 0
-    disparity[10:30, 10:30] = np.tile(np.arange(40.0, 60.0), (20, 1))
-    median, sigma = inner_half_median(
-        disparity, np.array([[-0.5, -0.5, 39.5, 39.5]]), settings=settings
-    )
-    assert median[0] == 49.5
-    assert sigma[0] == pytest.approx(np.hypot(0.15, 0.5 * 1.4826 * 5.0))
-
-
-def test_median_of_unusable_boxes_is_nan() -> None:
-    disparity = np.full((40, 40), np.nan, np.float32)
-    disparity[10:14, 10:30] = 9.0  # 20 % of the inner half of the first box
-    nan = np.nan
-    boxes = np.array(
-        [
-            [-0.5, -0.5, 39.5, 39.5],
-            [-0.5, 3.5, 39.5, 43.5],
-            [100.0, 0.0, 140.0, 40.0],
-            [nan, 0.0, 40.0, 40.0],
-            [0.0, 0.0, np.inf, 40.0],
-            [30.0, 30.0, 10.0, 10.0],
-            [20.1, 20.1, 20.2, 20.2],
-        ]
-    )
-    median, sigma = inner_half_median(disparity, boxes)
-    assert median[0] == 9.0
-    assert np.isnan(median[1:]).all()
-    assert np.array_equal(np.isnan(median), np.isnan(sigma))
-    assert inner_half_median(disparity, np.zeros((0, 4)))[0].shape == (0,)
 
 
 def test_settings_for_a_rig_are_whole_sixteens() -> None:

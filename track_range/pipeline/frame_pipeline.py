@@ -17,7 +17,7 @@ from track_range.pipeline.doubting import DoubtStage
 from track_range.pipeline.ego import EgoStage
 from track_range.pipeline.filtering import Approach, FilterStage, reported
 from track_range.pipeline.frame_result import FrameResult
-from track_range.pipeline.ranging import FrameRanges, RangingStage
+from track_range.pipeline.ranging import FrameRanges, RangingStage, stretched
 from track_range.pipeline.tracking import tracked, unconfirmed
 from track_range.pipeline.world import WorldStage
 from track_range.ranging.cameras.doubt import Doubt
@@ -128,7 +128,7 @@ class FramePipeline:
             ego=moved,
             lanes=lanes or LaneLines(),
             doubt=doubt,
-            disparity=measured.disparity,
+            dense=stretched(measured.dense, scale.focal),
             candidates=detected.candidates,
             shown_only=measured.shown_only,
         )

@@ -19,6 +19,7 @@ from track_range.pipeline.world import World
 from track_range.ranging.cameras.causes import ScaleDoubt
 from track_range.ranging.cameras.doubt import Doubt
 from track_range.ranging.cameras.learnt_focal import FocalEstimate
+from track_range.ranging.measurement.dense_map import DenseMap
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.warning.safety import SafetyMeasures
 from track_range.ranging.warning.warnings import Warnings
@@ -169,7 +170,8 @@ class FrameResult:
         ego: speed of the camera along its axis, its standard deviation, and the yaw rate.
         lanes: lines of the ego lane; without lines if no lane detector ran.
         doubt: contradiction between given values and the drive, and the errors that follow.
-        disparity: (H, W) disparities in px, NaN = unknown; None if dense stereo did not run.
+        dense: depths or disparities of all pixels by name of the method, of those that measure them
+            (`sgbm`, networks, recorded depth); `DenseMap.depth_m()` is in metres.
         candidates: all detections of the frame, including other classes and low scores; None = not
             needed.
         shown_only: names of the methods that are not part of the fused distance.
@@ -184,7 +186,7 @@ class FrameResult:
     ego: EgoMotion = field(default_factory=EgoMotion)
     lanes: LaneLines = field(default_factory=LaneLines)
     doubt: Doubt = field(default_factory=Doubt)
-    disparity: FloatArray32 | None = None
+    dense: Mapping[str, DenseMap] = field(default_factory=dict)
     candidates: Detections | None = None
     shown_only: frozenset[str] = frozenset()
 
@@ -267,6 +269,14 @@ class FrameResult:
         is unknown.
         """
         return self.in_camera.turned(self.world.placement.mounting)
+
+    @property
+    def disparity(self) -> FloatArray32 | None:
+        """(H, W) disparities in px as measured, NaN = unknown, of the first method that measures
+        them for all pixels; None = no such method ran.
+        """
+        maps = (dense for dense in self.dense.values() if dense.quantity == "disparity")
+        return next((dense.in_image(dense.values) for dense in maps), None)
 
     @property
     def closing_mps(self) -> FloatArray:

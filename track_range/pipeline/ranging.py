@@ -9,10 +9,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Self, TypeVar
 
 from track_range.detection.lanes.lines import LaneLines
-from track_range.foundation.arrays import FloatArray32
 from track_range.foundation.errors import Note, named_errors
 from track_range.foundation.files.input_files import counted
 from track_range.pipeline.clock import StageClock
+from track_range.ranging.measurement.dense_map import DenseMap
+from track_range.ranging.measurement.focal_scale import FocalScale
 from track_range.ranging.measurement.growth import Growth
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.measurement.rig_scale import CALIBRATED, RigScale
@@ -37,7 +38,8 @@ class FrameRanges:
     # the same before the correction of the scale of the rig, by the methods that have it
     of_rig: Mapping[str, Ranges] = field(default_factory=dict)
     alignment: Alignment | None = None  # of the pair in the frame; None = that of its rig
-    disparity: FloatArray32 | None = None  # (H, W) px; None = dense stereo did not run
+    # of the methods that measure all pixels, by name
+    dense: Mapping[str, DenseMap] = field(default_factory=dict)
     rig: RigScale = CALIBRATED  # by which `ranges` are corrected
     # those of depth networks before the correction of their scales
     by_network: Mapping[str, NetworkDistances] = field(default_factory=dict)
@@ -73,13 +75,24 @@ class FrameRanges:
                 corrected[name] = network.corrected(item.ranges, item.class_id)
         if not corrected:
             return self
-        return replace(self, ranges={**self.ranges, **corrected}, rig=rig)
+        dense = {
+            name: replace(dense, scale=rig) if name in self.of_rig else dense
+            for name, dense in self.dense.items()
+        }
+        return replace(self, ranges={**self.ranges, **corrected}, rig=rig, dense=dense)
 
     @property
     def growth(self) -> Growth | None:
         """Growth of the tracks in the images; None = no method measures it."""
         listed = self.to_fuse.values()
         return next((item.growth for item in listed if item.growth is not None), None)
+
+
+def stretched(dense: Mapping[str, DenseMap], focal: FocalScale) -> dict[str, DenseMap]:
+    """Dense maps whose depths have the true focal length."""
+    if not focal.log_factor:
+        return dict(dense)
+    return {name: one.stretched(focal.log_factor) for name, one in dense.items()}
 
 
 @dataclass(slots=True)
@@ -154,7 +167,7 @@ class RangingStage:
             tuple(evidence),
             by_registry,
             frame.alignment,
-            self._disparity(),
+            self._dense(scale.rig),
             scale.rig,
             by_network,
             self.shown_only,
@@ -179,9 +192,13 @@ class RangingStage:
         unmeasured = Ranges.unmeasured(tracks.track_id)
         return FrameRanges(dict.fromkeys(self.rangers, unmeasured), shown_only=self.shown_only)
 
-    def _disparity(self) -> FloatArray32 | None:
-        disparities = (ranger.disparity for ranger in self.rangers.values())
-        return next((disparity for disparity in disparities if disparity is not None), None)
+    def _dense(self, rig: RigScale) -> dict[str, DenseMap]:
+        dense = {name: ranger.dense for name, ranger in self.rangers.items()}
+        known = {name: one for name, one in dense.items() if one is not None}
+        of_rig = {
+            name: replace(one, scale=rig) for name, one in known.items() if name in self._of_rig
+        }
+        return {**known, **of_rig}
 
     def notes(self) -> tuple[str, ...]:
         """Notes for the user: of the methods at their end, and on invalid values and methods."""

@@ -12,7 +12,7 @@ from track_range.results.counts.counter import anchors_of
 from track_range.results.counts.places import parsed_places
 from track_range.run.build import road_plane_of
 from track_range.run.options.settings import RunSettings
-from track_range.views.overlay.annotator import DisparityPicture, Overlay, StackedPicture, Status
+from track_range.views.overlay.annotator import DensePicture, Overlay, StackedPicture, Status
 from track_range.views.overlay.counted_places import CountedPlaces
 from track_range.views.videos.result_video import Draw
 
@@ -31,7 +31,7 @@ def pictures(
         height_px *= 2 if settings.overlay_disparity and rig is not None else 1
         drawn["overlay"] = overlay_picture(settings, recording, status), (width_px, height_px)
     if settings.disparity and rig is not None:
-        drawn["disparity"] = DisparityPicture(rig).draw, size_px
+        drawn["disparity"] = DensePicture().draw, size_px
     return drawn
 
 
@@ -49,7 +49,7 @@ def overlay_picture(settings: RunSettings, recording: Recording, status: Status)
         counted=_counted_places(settings, recording) if settings.static_camera else None,
     )
     if settings.overlay_disparity and recording.calibrated_rig is not None:
-        return StackedPicture(overlay, recording.calibrated_rig).draw
+        return StackedPicture(overlay).draw
     return overlay.draw
 
 

@@ -23,7 +23,6 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.registry import methods
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
-from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.sgbm import disparity_picture, inner_halves
 from track_range.views.overlay import labels
 from track_range.views.overlay.birds_eye import BirdsEye
@@ -283,25 +282,24 @@ REDDEST_M = 5.0  # distance in metres shown in the reddest colour; nearer ones h
 SCALE_M = (5, 7, 10, 15, 20, 30, 50)  # distances on the scale, in metres
 
 
-class DisparityPicture:
-    """Draws the disparities of dense stereo: near is red, far is blue, unknown is black; not
-    thread-safe.
+class DensePicture:
+    """Draws the depths of all pixels, of the first method that measures them: near is red, far is
+    blue, unknown is black; not thread-safe.
     """
 
-    def __init__(self, rig: StereoRig) -> None:
-        self._focal_baseline_px_m = rig.left.fx_px * rig.baseline_m
+    def __init__(self) -> None:
         self._text = labels.TextRenderer()
 
     def draw(self, result: FrameResult) -> Image:
-        """Colour-coded disparities, (H, W, 3) uint8 BGR; black if dense stereo did not run."""
-        largest_px = self._focal_baseline_px_m / REDDEST_M
-        if result.disparity is None:
+        """Colour-coded inverse depths, (H, W, 3) uint8 BGR; black if no method measures them."""
+        dense = next((one for one in result.dense.values() if one.is_depth), None)
+        if dense is None:
             return np.zeros_like(result.frame.left)
-        return disparity_picture(result.disparity, largest_px=largest_px)
+        return disparity_picture(REDDEST_M / dense.in_image(dense.depth_m()), largest_px=1.0)
 
     def draw_marked(self, result: FrameResult) -> Image:
-        """Colour-coded disparities with the boxes and inner windows of the tracks, and a scale at
-        the lower edge.
+        """Colour-coded depths with the boxes and inner windows of the tracks, and a scale at the
+        lower edge.
         """
         canvas = self.draw(result)
         boxes = np.clip(result.tracks.xyxy_px, -20.0, np.tile(canvas.shape[1::-1], 2) + 20.0)
@@ -314,14 +312,15 @@ class DisparityPicture:
             draw_box(canvas, boxes[row], bgr=bgr, line_px=1, dashed=not is_observed)
         observed = boxes[valid & result.tracks.observed]
         draw_inner_windows(canvas, observed, [WHITE] * len(observed))
-        self._draw_scale(canvas)
+        names = [name for name, one in result.dense.items() if one.is_depth]
+        self._draw_scale(canvas, names[0] if names else "dense stereo")
         return canvas
 
-    def _draw_scale(self, canvas: Image) -> None:
+    def _draw_scale(self, canvas: Image, name: str) -> None:
         size_px = labels.text_sizes_px((canvas.shape[1], canvas.shape[0]))[1]
         level = np.rint(255 * REDDEST_M / np.array(SCALE_M)).astype(np.uint8)
         swatches = cv2.applyColorMap(level[:, None], cv2.COLORMAP_TURBO)[:, 0].tolist()
-        line = [labels.Span("dense stereo, m", size_px, labels.BOLD, WHITE)]
+        line = [labels.Span(f"{name}, m", size_px, labels.BOLD, WHITE)]
         for metres, (blue, green, red) in zip(SCALE_M, swatches, strict=True):
             line += [
                 labels.Span("■■", size_px, labels.BOLD, (blue, green, red)),
@@ -334,11 +333,11 @@ class DisparityPicture:
 
 
 class StackedPicture:
-    """Draws the overlay with the disparities below it; not thread-safe."""
+    """Draws the overlay with the depths of all pixels below it; not thread-safe."""
 
-    def __init__(self, overlay: Overlay, rig: StereoRig) -> None:
-        self._overlay, self._disparity = overlay, DisparityPicture(rig)
+    def __init__(self, overlay: Overlay) -> None:
+        self._overlay, self._dense = overlay, DensePicture()
 
     def draw(self, result: FrameResult) -> Image:
-        """Overlay above disparities, (2 * H, W, 3) uint8 BGR."""
-        return np.vstack([self._overlay.draw(result), self._disparity.draw_marked(result)])
+        """Overlay above depths, (2 * H, W, 3) uint8 BGR."""
+        return np.vstack([self._overlay.draw(result), self._dense.draw_marked(result)])

@@ -1,0 +1,99 @@
+"""NetworkDisparityRanger: stereo distance from the dense disparities of a network of the user.
+
+A network's disparities have the rig's scale and its alignment, as those of any matcher, and are
+wrong for two further reasons: what the pixels of a box show (`box_surfaces`), and errors that all
+pixels of an object share, since a network knows the shapes that it was trained on:
+
+    sigma_network = hypot(0.2 px of the map, 1 % of the disparity)
+"""
+
+from typing import Protocol
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray, Image
+from track_range.ranging.measurement.dense_map import DenseMap
+from track_range.ranging.methods.dense_ranger import DisparityMapRanger
+from track_range.ranging.methods.method import ErrorSource, MethodContext, Ranger, RangingMethod
+from track_range.stereo.geometry.alignment import Alignment
+from track_range.stereo.geometry.frames import Frame, whole_image
+from track_range.stereo.geometry.rig import StereoRig
+
+_NAME = "disparity"
+# standard deviation of an error that the pixels of an object share, px of the map and fraction of
+# the disparity
+_NETWORK_PX, _NETWORK_FRACTION = 0.2, 0.01
+
+
+class DisparitySource(Protocol):
+    """An open stereo network, or what measures like one."""
+
+    def measure(self, left: Image, right: Image) -> DenseMap:
+        """The disparities of a rectified pair of images (H, W, 3) in BGR."""
+
+
+class NetworkDisparityRanger(DisparityMapRanger):
+    """Ranges each box by the disparities of a network."""
+
+    def __init__(
+        self,
+        name: str,
+        network: DisparitySource,
+        rig: StereoRig,
+        *,
+        alignment: Alignment | None = None,
+    ) -> None:
+        """Create a ranger of the method `name` for a rectified rig; see `DisparityMapRanger`."""
+        super().__init__(name, rig, alignment=alignment)
+        self._source = network
+
+    def map_of(self, frame: Frame) -> DenseMap | None:
+        """The disparities of a frame; None without a right image."""
+        if frame.right is None:
+            return None
+        left, right = frame.left, whole_image(frame.right)
+        if right.ndim == 2:  # beside a left image in colour
+            right = np.repeat(right[:, :, None], 3, axis=2)
+        return self._source.measure(left, right)
+
+    def surfaces(self, dense: DenseMap, xyxy_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See `DisparityMapRanger`; with the errors that the pixels of an object share."""
+        disparity_px, sigma_px = super().surfaces(dense, xyxy_px)
+        map_px = dense.image_hw[1] / dense.values.shape[1]
+        shared_px = np.hypot(_NETWORK_PX * map_px, _NETWORK_FRACTION * disparity_px)
+        return disparity_px, np.hypot(sigma_px, shared_px)
+
+
+def network_method(name: str) -> RangingMethod:
+    """The method of a stereo network: `disparity`, or `disparity-NAME` of further ones."""
+
+    def create(context: MethodContext) -> Ranger | None:
+        path = context.stereo_models.get(name)
+        if path is None or context.rig is None:
+            return None
+        from track_range.ranging.networks.network import open_stereo_network  # onnxruntime
+
+        network = open_stereo_network(path, context.runtime)
+        ranger = NetworkDisparityRanger(name, network, context.rig)
+        ranger.network = network
+        return ranger
+
+    return RangingMethod(
+        name=name,
+        title="stereo network" if name == _NAME else f"stereo network {name.partition('-')[2]}",
+        letter="D",  # further networks get another one
+        colour="#c97b1d",
+        create=create,
+        needs=frozenset({"image", "rig", "right_image"}),
+        error_sources=(
+            ErrorSource("baseline", systematic=0.91),
+            ErrorSource("own", independent=0.09),
+        ),
+        # the images, the rig and its alignment are those of `stereo`: what remains is less than the
+        # errors that both share
+        fallback_for="stereo",
+        is_optional=True,
+    )
+
+
+DISPARITY = network_method(_NAME)
