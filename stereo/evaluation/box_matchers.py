@@ -108,8 +108,8 @@ class _MatcherRun:
     pair.
     """
 
-    def __init__(self, name: str) -> None:
-        self._name = name
+    def __init__(self, matcher: BoxMatcher | str) -> None:
+        self._matcher = matcher  # a name: opened with the settings for each rig
         self._last_px: dict[int, float] = {}  # by track, of the last pair
         self._disparity_px: list[FloatArray] = [np.zeros(0)]  # of each pair
         self._sigma_px: list[FloatArray] = [np.zeros(0)]
@@ -117,7 +117,9 @@ class _MatcherRun:
 
     def match(self, pair: StereoPair, by_size: ExpectedDisparity | None) -> None:
         """Measure the objects of a pair."""
-        matcher = open_matcher(self._name, pair.rig)
+        matcher = self._matcher
+        if isinstance(matcher, str):
+            matcher = open_matcher(matcher, pair.rig)
         # objects without tracks have no priors
         tracks = pair.track_id.tolist() or [-1] * len(pair.true_px)
         prior_px = np.array([self._last_px.get(track, np.nan) for track in tracks])
@@ -141,16 +143,22 @@ class _MatcherRun:
 
 
 def measure_pairs(
-    pairs: Iterable[StereoPair], names: Sequence[str], *, expected: Expectation | None = None
+    pairs: Iterable[StereoPair],
+    names: Sequence[str],
+    *,
+    expected: Expectation | None = None,
+    others: Mapping[str, BoxMatcher] | None = None,
 ) -> MatcherResults:
-    """Run several matchers, by their names (`MATCHER_NAMES`), on the same pairs, which are read one
-    by one.
+    """Run several matchers, by their names (`MATCHER_NAMES`), and then `others`, on the same pairs,
+    which are read one by one.
 
     As in a run, the last disparity of a track (`StereoPair.track_id`) is the prior in the next
     pair; other objects are searched in the full range. `expected` gives the expected disparities of
     the objects of a pair; None = unknown. Raises ValueError for unknown names.
     """
-    runs = {name: _MatcherRun(name) for name in names}
+    chosen: dict[str, BoxMatcher | str] = {name: name for name in names}
+    chosen |= others or {}
+    runs = {name: _MatcherRun(matcher) for name, matcher in chosen.items()}
     notes = dict[str, None]()
     objects = [_no_objects()]
     for number, pair in enumerate(pairs):
@@ -188,11 +196,16 @@ def _objects(pair: StereoPair, number: int) -> Objects:
 
 
 def _joined(objects: Sequence[Objects]) -> Objects:
+    """All objects; those of pairs without a common track are groups by pair: single images."""
+    pair = np.concatenate([part.pair for part in objects])
+    group = np.concatenate([part.group for part in objects])
+    if np.unique(np.stack([group, pair]), axis=1).shape[1] == len(np.unique(group)):
+        group = pair
     return Objects(
         true_px=np.concatenate([part.true_px for part in objects]),
         focal_baseline_m=np.concatenate([part.focal_baseline_m for part in objects]),
         x_px=np.concatenate([part.x_px for part in objects]),
-        pair=np.concatenate([part.pair for part in objects]),
-        group=np.concatenate([part.group for part in objects]),
+        pair=pair,
+        group=group,
         cameras=tuple(camera for part in objects for camera in part.cameras),
     )

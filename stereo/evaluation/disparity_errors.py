@@ -30,7 +30,14 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.foundation.bootstrap import CI95, Resamples, Statistic, figures_of
+from track_range.foundation.bootstrap import (
+    CI95,
+    Resamples,
+    Statistic,
+    figures_of,
+    measured_by_all,
+    paired_differences,
+)
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 
@@ -154,6 +161,37 @@ def common_figures(
         name: _figures_with_bands(column.select(is_common), common, seed=seed)
         for name, column in columns.items()
     }
+
+
+def comparison(
+    columns: Mapping[str, MatcherColumn], objects: Objects, *, seed: int = 0
+) -> dict[str, dict[str, Any]]:
+    """Median errors on the objects that all matchers measured, and failures on all objects, with the
+    differences from the smallest one; see `paired_differences`.
+    """
+    everything = np.ones(len(objects), np.bool_)
+    measured = {name: column.disparity_px for name, column in columns.items()}
+    common, names = measured_by_all(measured, everything)
+    statistics = {name: _statistics(column, objects.true_px) for name, column in columns.items()}
+    compared = {}
+    for key, rows, compared_names in (
+        ("median_relative_error_pct", common, names),
+        ("failures_pct", everything, tuple(columns)),
+    ):
+        of_rows = {
+            name: replace(
+                statistics[name][key], values=np.where(rows, statistics[name][key].values, np.nan)
+            )
+            for name in compared_names
+        }
+        resamples = Resamples.of(objects.group, seed=seed, rows=rows)
+        compared[key] = {
+            "n": len(objects),
+            "n_common": int(rows.sum()),
+            "n_measured": {name: int(np.isfinite(px).sum()) for name, px in measured.items()},
+            **paired_differences(of_rows, resamples, key),
+        }
+    return compared
 
 
 def figures(column: MatcherColumn, true_px: FloatArray) -> dict[str, Any]:

@@ -1,8 +1,9 @@
 """Stereo pairs with objects of known distance or disparity, to which the alignment of a rig is
 fitted.
 
-    DIR          KITTI 2015's layout, or a labelled drive, as written by `simulate` or the demo: left.mp4, right.mp4,
-                 rig.yaml (or calib.txt), truth.csv (or truth.txt, label.txt: KITTI tracking labels)
+    DIR          KITTI 2015's layout, or a labelled drive, as written by `simulate` or the demo: left.mp4, right.mp4
+                 (or folders left/, right/ of images), rig.yaml (or calib.txt), truth.csv (or truth.txt, label.txt:
+                 KITTI tracking labels)
     LABELS       KITTI tracking labels of two videos, or a CSV file as for `--truth`
     FILE.csv     frame,x1,y1,x2,y2 and distance_m or disparity_px (and id, -1 = unknown) of two videos; frames count
                  from 0
@@ -15,9 +16,9 @@ true disparity is f B / distance.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +49,7 @@ from track_range.stereo.evaluation.kitti_2015 import (
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.rig import RigError, StereoRig
 
-LEFT, RIGHT = "left.mp4", "right.mp4"
+LEFT, RIGHT = "left.mp4", "right.mp4"  # else folders of images without .mp4
 # names of label files; the first one that exists is used
 LABELS = ("truth.csv", "truth.txt", "label.txt")
 _BOX = ("x1", "y1", "x2", "y2")
@@ -58,8 +59,14 @@ _PLAUSIBLE = {"distance_m": (0.1, 10_000.0), "disparity_px": (0.01, 10_000.0)}
 
 
 def is_drive(folder: Path) -> bool:
-    """Whether a folder has one of a drive's two videos."""
-    return (folder / LEFT).is_file() or (folder / RIGHT).is_file()
+    """Whether a folder has one of a drive's two videos, or folders of images."""
+    return any(_side(folder, name).exists() for name in (LEFT, RIGHT))
+
+
+def _side(folder: Path, name: str) -> Path:
+    """The images of one camera: a folder if there is one and no video."""
+    video, images = folder / name, folder / Path(name).stem
+    return images if images.is_dir() and not video.is_file() else video
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,28 +109,48 @@ def known_pairs(recording: Recording, rig: StereoRig, known: KnownObjects) -> It
 
 
 def read_drive(
-    folder: Path, *, rig: Path | None = None, row_offset_px: float = 0.0
+    folder: Path,
+    *,
+    rig: Path | None = None,
+    row_offset_px: float = 0.0,
+    truth: Sequence[Path] = (),
 ) -> Iterator[StereoPair]:
     """The pairs of a drive in order of time, named by frame; pairs without evaluated objects are
     included.
 
     `rig` is a rig file, None = the one in the folder; `row_offset_px`, y_right - y_left, is
-    corrected in the right images. Raises VideoError, RigError, LabelFileError or PairFileError if
-    videos, rig or labels cannot be used.
+    corrected in the right images; `truth` are files of objects, () = that in the folder. Raises
+    VideoError, RigError, LabelFileError or PairFileError if videos, rig or labels cannot be used.
     """
     rows = Alignment(row_offset_px=row_offset_px)
-    recording, rectified = open_pair(folder / LEFT, folder / RIGHT, rig, align=rows)
+    recording, rectified = open_pair(_side(folder, LEFT), _side(folder, RIGHT), rig, align=rows)
     with closing(recording):
-        labels = next((folder / name for name in LABELS if (folder / name).is_file()), None)
-        if labels is None:
+        found = next((folder / name for name in LABELS if (folder / name).is_file()), None)
+        files = tuple(truth) or (() if found is None else (found,))
+        if not files:
             raise PairFileError(
                 f"{folder}: expected labels in {', '.join(LABELS[:-1])} or "
                 f"{LABELS[-1]}, found none."
             )
-        truth = read_truth(labels, rectified.left, recording.calibration.left_from_reference_m)
-        is_in_range = (truth.distance_m >= BANDS_M[0]) & (truth.distance_m <= BANDS_M[-1])
-        known = KnownObjects.of(truth.select((truth.class_id >= 0) & is_in_range), rectified)
-        yield from known_pairs(recording, rectified, known)
+        shift_m = recording.calibration.left_from_reference_m
+        labels = [read_truth(file, rectified.left, shift_m) for file in files]
+        yield from known_pairs(recording, rectified, _joined(labels, rectified))
+
+
+def _joined(labels: Sequence[Truth], rig: StereoRig) -> KnownObjects:
+    """The scored objects of several files, whose identities are made different."""
+    parts, first_id = list[KnownObjects](), 0
+    for truth in labels:
+        in_range = (truth.distance_m >= BANDS_M[0]) & (truth.distance_m <= BANDS_M[-1])
+        part = KnownObjects.of(truth.select((truth.class_id >= 0) & in_range), rig)
+        parts.append(
+            replace(part, track_id=truth.track_id[in_range & (truth.class_id >= 0)] + first_id)
+        )
+        first_id += int(truth.track_id.max(initial=0)) + 1
+    names = [one.name for one in fields(KnownObjects)]
+    return KnownObjects(
+        **{name: np.concatenate([getattr(p, name) for p in parts]) for name in names}
+    )
 
 
 def open_pair(

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from track_range.foundation.schemas.options import Options, option
+from track_range.ranging.evaluation.settings import StereoModelField
 from track_range.recording.speed_source import AUTO
 from track_range.recording.video.layouts import LayoutOption
 
@@ -392,10 +393,20 @@ class StereoEvaluationSettings(Options):
         Path,
         option(
             "Folder in KITTI 2015's layout (image_2, image_3, disp_occ_0, obj_map, calib.txt), or "
-            "of a drive (left.mp4, right.mp4, rig.yaml, and truth.csv or truth.txt).",
+            "of a drive or of single pairs (left.mp4, right.mp4 or folders left, right of images, "
+            "rig.yaml or calib.txt, and truth.csv, truth.txt or label.txt).",
             metavar="DIR",
         ),
     ]
+    truth: Annotated[
+        tuple[Path, ...],
+        option(
+            "File of objects with known distances of such a folder; repeat the option for further "
+            "files, whose objects are added (default: the first one above that exists).",
+            metavar="FILE",
+            is_repeated=True,
+        ),
+    ] = ()
     rig: Annotated[
         Path | None, option("Calibration file (default: the calibration file in the folder).")
     ] = None
@@ -410,6 +421,7 @@ class StereoEvaluationSettings(Options):
             min_length=1,
         ),
     ] = ("patch", "sgbm", "sgbm-centre", "sgbm-hh")
+    stereo_model: StereoModelField = ()
     align: Annotated[
         str,
         option(

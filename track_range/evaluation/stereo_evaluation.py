@@ -1,6 +1,7 @@
 """Evaluation of stereo matchers on pairs with known disparities."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.ranging.methods.size_regression import SizeRanger
 from track_range.ranging.methods.triangulation import disparities_by_size
+from track_range.ranging.registry import network_names
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.alignment.from_reference import fit_reference
@@ -23,6 +25,7 @@ from track_range.stereo.evaluation.dense_confidence import (
 from track_range.stereo.evaluation.disparity_errors import (
     MatcherColumn,
     common_figures,
+    comparison,
     corrected,
     left_out_alignments,
     matcher_figures,
@@ -37,7 +40,7 @@ from track_range.stereo.evaluation.kitti_2015 import (
 )
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.matching.patch_matches import ExpectedDisparity
+from track_range.stereo.matching.patch_matches import BoxMatcher, ExpectedDisparity
 from track_range.tracking.tracks import Tracks
 
 
@@ -49,7 +52,7 @@ def evaluate_stereo(
 
     Raises UsageError: an unknown matcher, or leave-two-out for a drive or too few pairs. Raises
     PairFileError, RigError, VideoError, LabelFileError: the pairs, their rig or the alignment
-    cannot be used.
+    cannot be used; NetworkError, ModelError: a file is no usable stereo network.
     """
     for name in settings.matchers:
         if name not in MATCHER_NAMES:
@@ -59,10 +62,13 @@ def evaluate_stereo(
     known = None if settings.align in (OFF, LEAVE_TWO_OUT) else load_alignment(settings.align)
     n_pairs = _n_pairs(settings)
     recorder = ConfidenceRecorder() if DENSE_MATCHER in settings.matchers else None
+    networks = _networks(settings.stereo_model)
     with progress("pairs") as advance:
         pairs = _pairs(settings, known, advance, n_pairs)
         pairs = pairs if recorder is None else recorder.recorded(pairs)
-        measured = measure_pairs(pairs, settings.matchers, expected=expected_disparities)
+        measured = measure_pairs(
+            pairs, settings.matchers, expected=expected_disparities, others=networks
+        )
     if not len(measured.objects):
         raise PairFileError(
             f"{settings.pairs}: expected objects with known disparities, found none."
@@ -91,10 +97,23 @@ def evaluate_stereo(
         "common": common_figures(columns, measured.objects, seed=settings.seed)
         if len(columns) > 1
         else {},
+        "comparison": comparison(columns, measured.objects, seed=settings.seed)
+        if len(columns) > 1
+        else {},
         "risk_coverage": curves,
         "best_confidence": {DENSE_MATCHER: BEST_MEASURE} if recorder is not None else {},
         "notes": list(measured.notes),
     }
+
+
+def _networks(files: Sequence[Path]) -> dict[str, BoxMatcher]:
+    """The stereo networks by name of their method."""
+    if not files:
+        return {}
+    # imports onnxruntime
+    from track_range.evaluation.network_matcher import NetworkMatcher
+
+    return {name: NetworkMatcher(file) for name, file in network_names("disparity", files).items()}
 
 
 def _n_pairs(settings: StereoEvaluationSettings) -> int | None:
@@ -102,7 +121,13 @@ def _n_pairs(settings: StereoEvaluationSettings) -> int | None:
     if not (is_kitti_2015(settings.pairs) or is_drive(settings.pairs)):
         raise PairFileError(
             f"{settings.pairs}: expected a folder with KITTI 2015's image_2, image_3, disp_occ_0 "
-            "and obj_map, or with a drive's left.mp4, right.mp4 and truth.csv or truth.txt."
+            "and obj_map, or with a drive's left.mp4, right.mp4 (or folders left, right of images) "
+            "and truth.csv or truth.txt."
+        )
+    if is_kitti_2015(settings.pairs) and settings.truth:
+        raise UsageError(
+            f"--truth: expected a drive or single pairs with files of objects, but {settings.pairs} "
+            "has true disparities in KITTI 2015's layout."
         )
     if not is_kitti_2015(settings.pairs):
         if settings.align == LEAVE_TWO_OUT:
@@ -127,10 +152,13 @@ def _pairs(
     n_pairs: int | None,
 ) -> Iterator[StereoPair]:
     row_offset_px = 0.0 if known is None else known.row_correction_px
-    read = read_pairs if is_kitti_2015(settings.pairs) else read_drive
-    for number, pair in enumerate(
-        read(settings.pairs, rig=settings.rig, row_offset_px=row_offset_px)
-    ):
+    if is_kitti_2015(settings.pairs):
+        pairs = read_pairs(settings.pairs, rig=settings.rig, row_offset_px=row_offset_px)
+    else:
+        pairs = read_drive(
+            settings.pairs, rig=settings.rig, row_offset_px=row_offset_px, truth=settings.truth
+        )
+    for number, pair in enumerate(pairs):
         yield pair
         advance(number + 1, n_pairs)
 

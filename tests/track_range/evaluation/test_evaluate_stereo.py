@@ -6,10 +6,19 @@ from __future__ import annotations
 import csv
 import json
 
+import cv2
 import numpy as np
 import pytest
 
-from tests.support.recordings.kitti_folder import write_pair, write_set
+from tests.support.networks.depth_networks import DISPARITY_STEP, encoded, write_stereo
+from tests.support.recordings.kitti_folder import (
+    BASELINE_M,
+    CALIBRATION,
+    CARS,
+    FOCAL_PX,
+    write_pair,
+    write_set,
+)
 from track_range.calibration.reference_pairs import read_drive
 from track_range.stereo.alignment.file import save_alignment
 from track_range.stereo.evaluation.dense_confidence import MEASURES
@@ -252,3 +261,74 @@ def test_real_pairs(shared_data, cli, tmp_path):
     assert patch["failures_pct"] < centre["failures_pct"]
     # no disparity at the centre of many cars: windows and gaps
     assert 0.7 < np.mean(centre["coverage"]) < 1.0
+
+
+def seen_by_networks(folder):
+    """The set with left images that encode the disparities for `write_stereo`."""
+    for truth in sorted((folder / "disp_occ_0").glob("*.png")):
+        disparity_px = cv2.imread(str(truth), cv2.IMREAD_UNCHANGED) / 256
+        cv2.imwrite(str(folder / "image_2" / truth.name), encoded(disparity_px, DISPARITY_STEP))
+    return folder
+
+
+def test_networks_beside_a_matcher(cli, tmp_path):
+    folder = seen_by_networks(write_set(tmp_path / "set", [f"{n:06d}_10" for n in range(7)]))
+    exact = write_stereo(tmp_path / "exact.onnx")
+    short = write_stereo(tmp_path / "short.onnx", factor=1.1)
+    models = ("--matcher", "sgbm", "--stereo-model", exact, "--stereo-model", short)
+    figures, printed = evaluate(cli, folder, tmp_path, *models)
+    rows = figures["matchers"]
+    assert list(rows) == ["sgbm", "disparity-exact", "disparity-short"]
+    assert rows["disparity-exact"]["median_relative_error_pct"] < 0.1
+    assert rows["disparity-short"]["bias_pct"] == pytest.approx(100 / 1.1 - 100, abs=0.1)
+    assert rows["disparity-short"]["ms_per_frame"] > 0
+    compared = figures["comparison"]["median_relative_error_pct"]
+    assert (compared["reference"], compared["n_blocks"]) == ("disparity-exact", 7)
+    assert compared["methods"]["disparity-short"]["is_worse"] is True
+    assert compared["n_measured"]["disparity-short"] == 14
+    assert "worse than disparity-exact" in " ".join(printed.split())
+    alone, _ = evaluate(cli, folder, tmp_path, "--matcher", "sgbm", "--stereo-model", exact)
+    assert list(alone["matchers"]) == ["sgbm", "disparity"]
+
+
+def test_file_that_is_no_stereo_network(cli, tmp_path):
+    (tmp_path / "n.onnx").write_bytes(b"no network")
+    status, _, errors = cli(
+        *("evaluate", "stereo", "--pairs", write_set(tmp_path / "set")),
+        *("--stereo-model", tmp_path / "n.onnx"),
+    )
+    assert (status, "n.onnx" in errors) == (1, True), errors
+
+
+def test_single_pairs_in_folders_with_several_tables(cli, tmp_path):
+    """Objects of one image are one block: identities that are seen once are no tracks."""
+    made, folder = write_set(tmp_path / "set", ["000000", "000001", "000002"]), tmp_path / "pairs"
+    for part, side in (("image_2", "left"), ("image_3", "right")):
+        (folder / side).mkdir(parents=True)
+        for image in (made / part).glob("*.png"):
+            (folder / side / image.name).write_bytes(image.read_bytes())
+    (folder / "calib.txt").write_text(CALIBRATION)
+    header = "frame,id,class,x1,y1,x2,y2,distance_m\n"
+    for file, car in (("truth.csv", CARS[0]), ("more.csv", CARS[1])):
+        x1, y1, x2, y2, disparity_px = car
+        distance_m = FOCAL_PX * BASELINE_M / disparity_px
+        lines = [f"{n},{7 * n},car,{x1},{y1},{x2},{y2},{distance_m}\n" for n in range(3)]
+        (folder / file).write_text(header + "".join(lines))
+    figures, _ = evaluate(cli, folder, tmp_path, "--matcher", "patch")
+    assert (figures["n_pairs"], figures["n_objects"]) == (3, 3)
+    both = ("--truth", folder / "truth.csv", "--truth", folder / "more.csv")
+    figures, _ = evaluate(cli, folder, tmp_path, "--matcher", "patch,sgbm", *both)
+    assert figures["n_objects"] == 6
+    assert figures["matchers"]["patch"]["median_abs_error_px"] < 0.15
+    assert figures["comparison"]["failures_pct"]["n_blocks"] == 3
+    status, _, errors = cli("evaluate", "stereo", "--pairs", made, *both)
+    assert (status, "--truth" in errors) == (2, True), errors
+
+
+def test_pairs_of_kitti_360(shared_data, cli, tmp_path):
+    folder = shared_data / "kitti360"
+    both = ("--truth", folder / "detected.csv", "--truth", folder / "truth.csv")
+    figures, _ = evaluate(cli, folder, tmp_path, "--matcher", "patch,sgbm", *both)
+    assert (figures["n_pairs"], figures["n_objects"]) == (7, 36)
+    assert figures["comparison"]["median_relative_error_pct"]["n_blocks"] == 6
+    assert figures["matchers"]["sgbm"]["median_relative_error_pct"] < 6

@@ -2,7 +2,7 @@
 disparities.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -15,6 +15,7 @@ from track_range.foundation.files.output_files import write_json
 from track_range.foundation.processes import one_opencv_thread
 from track_range.run.progress import step_progress
 from track_range.views import tables
+from track_range.views.method_comparison import comparison_grid, unmarked
 
 
 class StereoOptions(StereoEvaluationSettings):
@@ -62,15 +63,25 @@ def _print(figures: Mapping[str, Any]) -> None:
         f"{figures['align']}"
     )
     matchers, common = figures["matchers"], figures["common"]
-    print_grid(
-        console, _grid(title, matchers, _COLUMNS), _more_grid(matchers), _interval_grid(matchers)
-    )
+    shown = (_grid(title, matchers, _COLUMNS), _more_grid(matchers))
+    print_grid(console, *map(unmarked, shown), _interval_grid(matchers))
+    print_grid(console, *_comparison_grids(figures["comparison"]))
     if common:
         n_common = next(iter(common.values()))["n"]
         title = f"On common coverage ({n_common} objects measured by all matchers)"
-        print_grid(console, _grid(title, common, _COLUMNS[1:]))
+        print_grid(console, unmarked(_grid(title, common, _COLUMNS[1:])))
     print_grid(console, *result_files.risk_grids(_curves(figures)))
     print_line(console, *figures["notes"])
+
+
+def _comparison_grids(comparison: Mapping[str, Any]) -> Iterator[tables.Grid]:
+    """Tables of the differences of the matchers: median error on common objects, and failures."""
+    headings = {"median_relative_error_pct": "median %", "failures_pct": "failed %"}
+    for key, compared in comparison.items():
+        n_common, n = compared["n_common"], compared["n"]
+        title = f"Compared on {n_common} of {n} objects, {compared['n_blocks']} pairs or tracks"
+        n_measured = compared["n_measured"]
+        yield comparison_grid(title, compared, n_measured, key=key, heading=headings[key])
 
 
 def _grid(title: str, matchers: _Rows, specs: Sequence[tables.ColumnSpec]) -> tables.Grid:
