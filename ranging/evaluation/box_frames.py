@@ -1,18 +1,22 @@
 """Labelled boxes as the tracks of frames, and the rangers of a sequence that measure them."""
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from track_range.foundation.arrays import IntArray
+from track_range.ranging.cameras.evidence import SeenFrame
+from track_range.ranging.cameras.scale_check import ScaleCheck
 from track_range.ranging.evaluation.box_evaluation import frame_rows
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.method import Ranger, checked_ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
+from track_range.ranging.size_models.network_scale import NetworkDistances
 from track_range.ranging.truth.errors import MethodColumn
 from track_range.ranging.truth.labelled_boxes import BoxSet
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.ego_motion import Ego, EgoMotion
 from track_range.tracking.tracks import Tracks
 
 
@@ -45,12 +49,22 @@ def ranges_in_frame(column: MethodColumn, tracks: Tracks, rows: IntArray) -> Ran
 
 
 class SequenceRangers:
-    """Rangers of one sequence with the scale of its drive; `reads` are the names of the methods
-    that each reads.
+    """Rangers of one sequence with the scale of its drive.
+
+    `reads` are the names of the methods that each reads. With a `check`, the distances of networks
+    are corrected by the evidence of the drive, as in a run; `of_rig` are the methods with the scale of
+    the pair.
     """
 
-    def __init__(self, rangers: Mapping[str, Ranger], reads: Mapping[str, Collection[str]]) -> None:
+    def __init__(
+        self,
+        rangers: Mapping[str, Ranger],
+        reads: Mapping[str, Collection[str]],
+        check: ScaleCheck | None = None,
+        of_rig: Sequence[str] = (),
+    ) -> None:
         self._rangers, self._reads = rangers, reads
+        self._check, self._of_rig = check, of_rig
         self._scale = DriveScale()
 
     def measure(
@@ -59,14 +73,27 @@ class SequenceRangers:
         """Ranges of the next frame, by name; `before` are those of methods measured before."""
         measured: dict[str, Ranges] = {}
         evidence: list[ScaleEvidence] = []
+        by_network: dict[str, NetworkDistances] = {}
         for name, ranger in self._rangers.items():
             known = {**before, **measured}
             others = {other: known[other] for other in self._reads[name] if other in known}
             in_frame = ranger.measure_at_scale(tracks, frame, others, self._scale)
             if in_frame.evidence:
                 evidence.append(in_frame.evidence)
+            if in_frame.by_network is not None:
+                by_network[name] = in_frame.by_network
             measured[name] = checked_ranges(name, in_frame.ranges, tracks)
         self._scale = self._scale.after(evidence, frame.time_s)
+        by_size = next((item.by_size for item in evidence if item.by_size is not None), None)
+        if self._check is not None and by_network and by_size is not None:
+            by_rig = next((measured[name] for name in self._of_rig if name in measured), None)
+            ego = Ego(motion=EgoMotion())
+            self._check.update(
+                SeenFrame(tracks, by_size, by_rig, ego, frame.time_s, by_network=by_network)
+            )
+            self._scale = replace(self._scale, network=self._check.network_scales)
+            for name, item in by_network.items():
+                measured[name] = self._scale.network[name].corrected(item.ranges, item.class_id)
         return measured
 
 

@@ -59,7 +59,7 @@ def method_names(
         if method.measures_distance
         and method.needs
         and method.needs <= available
-        and (method.name in inputs.networks or not getattr(method, "is_optional", False))
+        and (method.name in inputs.networks or not method.is_optional)
     ]
     fused = [*boxes, *(method.name for method in others if method.fuses)]
     names = [*boxes, *(method.name for method in others)]

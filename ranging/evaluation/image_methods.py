@@ -13,6 +13,8 @@ import numpy as np
 from track_range.foundation.arrays import IntArray
 from track_range.foundation.errors import UserError
 from track_range.foundation.progress import StepProgress, no_progress
+from track_range.ranging.cameras.scale_check import ScaleCheck
+from track_range.ranging.cameras.unknowns import camera_priors
 from track_range.ranging.evaluation.box_evaluation import frame_rows
 from track_range.ranging.evaluation.box_frames import (
     SequenceRangers,
@@ -74,9 +76,9 @@ class MethodInputs:
     progress: StepProgress = no_progress
 
     @property
-    def networks(self) -> frozenset[str]:
+    def networks(self) -> tuple[str, ...]:
         """Names of the methods that have a network."""
-        return frozenset((*self.depth_models, *self.stereo_models))
+        return (*self.depth_models, *self.stereo_models)
 
     def available(self, camera_height_m: float | None) -> frozenset[Requirement]:
         """Requirements that are met."""
@@ -107,6 +109,7 @@ def image_columns(
     """
     columns = {method.name: unmeasured(len(boxes)) for method in listed}
     reads = {method.name: method.reads for method in listed}
+    of_rig = [method.name for method in listed if method.has_rig_scale]
     n_frames, n_done = sum(1 for _ in frame_rows(boxes)), 0
     with inputs.progress("frames") as advance:
         for number, name in enumerate(boxes.sequence_names):
@@ -117,13 +120,27 @@ def image_columns(
                 for ranger in rangers.values():
                     stack.callback(ranger.close)
                 _check_created(chosen, rangers)
-                sequence = SequenceRangers(rangers, reads)
+                sequence = SequenceRangers(rangers, reads, _check(context, inputs), of_rig)
                 for of_frame, tracks, frame in frames:
                     for method, ranges in sequence.measure(tracks, frame, {}).items():
                         store(columns[method], rows[of_frame], ranges)
                     n_done += 1
                     advance(n_done, n_frames)
     return {name: without_empty_systematic(columns[name]) for name in chosen}
+
+
+def _check(context: MethodContext, inputs: MethodInputs) -> ScaleCheck | None:
+    """The evidence of a drive that corrects the distances of networks; None without networks."""
+    if not inputs.networks:
+        return None
+    rig = context.rig
+    priors = camera_priors(
+        context.camera.fx_px,
+        baseline_m=None if rig is None else rig.baseline_m,
+        height_m=context.camera_height_m,
+        region=context.region,
+    )
+    return ScaleCheck(context.camera, priors, rig=rig)
 
 
 def _check_created(chosen: Collection[str], rangers: Collection[str]) -> None:

@@ -57,7 +57,10 @@ def evaluate_ranges(
     settings, inputs = _with_split(settings), inputs or MethodInputs()
     names = tuple(_registered(name) for name in settings.methods if name)
     _check(settings)
-    check_methods(names, inputs, settings.camera_height_m)
+    if names:
+        parts = {part for name in names for part in name.split("+")}
+        names = (*names, *(name for name in inputs.networks if name not in parts))
+    check_methods((*names, *inputs.networks), inputs, settings.camera_height_m)
     boxes = _boxes(settings, settings.frames)
     train = _training_boxes(settings, boxes)
     names = names or method_names(inputs, settings.camera_height_m)

@@ -14,6 +14,7 @@ from track_range.ranging.evaluation.image_methods import (
 )
 from track_range.ranging.evaluation.labelled_ranges import evaluate_ranges as _evaluate_ranges
 from track_range.ranging.evaluation.settings import RangeEvaluationSettings
+from track_range.ranging.registry import network_names, register_networks
 from track_range.ranging.truth.labelled_boxes import file_in
 from track_range.recording.recording import open_recording
 
@@ -35,7 +36,13 @@ def evaluate_ranges(
             align=settings.align,
             is_one=settings.labels.is_file(),
         )
-    return _evaluate_ranges(settings, MethodInputs(images=images, progress=progress))
+    depth_models = network_names("depth", settings.depth_model)
+    stereo_models = network_names("disparity", settings.stereo_model)
+    register_networks((*depth_models, *stereo_models))
+    inputs = MethodInputs(
+        images=images, depth_models=depth_models, stereo_models=stereo_models, progress=progress
+    )
+    return _evaluate_ranges(settings, inputs)
 
 
 @dataclass(frozen=True, slots=True)
