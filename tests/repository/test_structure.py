@@ -127,7 +127,7 @@ MOST_STATEMENTS = {
     # and outputs that cannot be (120)
     # depth networks as a method, with the factor and the shape of their errors in a drive (260)
     # methods that need images or a pair, on labelled boxes, any fusion of methods, and differences of
-    # methods with their noise (100)
+    # methods with their noise (100), and networks corrected by their drives (25)
     # methods of networks by the names of files, and methods that only runs have which ask for them (50)
     "ranging": 9_997,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
@@ -171,7 +171,7 @@ MOST_STATEMENTS = {
     # a finished run against ground truth (35)
     # intervals of tracks and motion (21)
     # limits of figures (99)
-    # images of labelled sequences (31)
+    # images of labelled sequences (31); stereo networks as matchers (40)
     "evaluation": 2_060,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     # earlier names of columns (4)

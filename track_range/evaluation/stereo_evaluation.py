@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.calibration.reference_pairs import is_drive, read_drive
+from track_range.calibration.reference_pairs import LEFT, is_drive, read_drive
 from track_range.calibration.settings import LEAVE_TWO_OUT, OFF, StereoEvaluationSettings
 from track_range.foundation.errors import UsageError
 from track_range.foundation.progress import StepProgress, no_progress
@@ -43,6 +43,8 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.matching.patch_matches import BoxMatcher, ExpectedDisparity
 from track_range.tracking.tracks import Tracks
 
+_FEWEST_LEFT_OUT = 4  # pairs of a cross-validation that leaves two out at a time
+
 
 def evaluate_stereo(
     settings: StereoEvaluationSettings, progress: StepProgress = no_progress
@@ -73,6 +75,7 @@ def evaluate_stereo(
         raise PairFileError(
             f"{settings.pairs}: expected objects with known disparities, found none."
         )
+    _check_left_out(settings, len(measured.objects.cameras))
     columns, alignment = _aligned(measured, settings, known)
     matchers = matcher_figures(columns, measured.objects, seed=settings.seed)
     for name, row in matchers.items():
@@ -130,19 +133,24 @@ def _n_pairs(settings: StereoEvaluationSettings) -> int | None:
             "has true disparities in KITTI 2015's layout."
         )
     if not is_kitti_2015(settings.pairs):
-        if settings.align == LEAVE_TWO_OUT:
+        if settings.align == LEAVE_TWO_OUT and (settings.pairs / LEFT).is_file():
             raise UsageError(
                 f"--align {LEAVE_TWO_OUT}: expected a set of single pairs, but {settings.pairs} is "
                 "a drive."
             )
         return None
     n_pairs = len(pair_names(settings.pairs))
-    if settings.align == LEAVE_TWO_OUT and n_pairs < 4:
+    _check_left_out(settings, n_pairs)
+    return n_pairs
+
+
+def _check_left_out(settings: StereoEvaluationSettings, n_pairs: int) -> None:
+    """UsageError: there are too few pairs for cross-validation."""
+    if settings.align == LEAVE_TWO_OUT and n_pairs < _FEWEST_LEFT_OUT:
         raise UsageError(
-            f"--align {LEAVE_TWO_OUT}: expected at least 4 pairs, but "
+            f"--align {LEAVE_TWO_OUT}: expected at least {_FEWEST_LEFT_OUT} pairs, but "
             f"{settings.pairs} has {n_pairs}."
         )
-    return n_pairs
 
 
 def _pairs(

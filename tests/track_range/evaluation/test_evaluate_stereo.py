@@ -321,13 +321,22 @@ def test_single_pairs_in_folders_with_several_tables(cli, tmp_path):
     assert figures["n_objects"] == 6
     assert figures["matchers"]["patch"]["median_abs_error_px"] < 0.15
     assert figures["comparison"]["failures_pct"]["n_blocks"] == 3
-    status, _, errors = cli("evaluate", "stereo", "--pairs", made, *both)
-    assert (status, "--truth" in errors) == (2, True), errors
+    for wrong, option in (
+        ((made, *both), "--truth"),
+        ((folder, "--align", "leave-two-out"), "4 p"),
+    ):
+        status, _, errors = cli("evaluate", "stereo", "--pairs", *wrong)
+        assert (status, option in errors) == (2, True), errors
 
 
 def test_pairs_of_kitti_360(shared_data, cli, tmp_path):
+    """Their disparities are 0.4 px too small, which other pairs show."""
     folder = shared_data / "kitti360"
     both = ("--truth", folder / "detected.csv", "--truth", folder / "truth.csv")
+    aligned, _ = evaluate(
+        cli, folder, tmp_path, "--matcher", "patch", *both, "--align", "leave-two-out"
+    )
+    assert aligned["matchers"]["patch"]["median_relative_error_pct"] < 2
     figures, _ = evaluate(cli, folder, tmp_path, "--matcher", "patch,sgbm", *both)
     assert (figures["n_pairs"], figures["n_objects"]) == (7, 36)
     assert figures["comparison"]["median_relative_error_pct"]["n_blocks"] == 6
