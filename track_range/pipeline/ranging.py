@@ -110,6 +110,7 @@ class RangingStage:
     _of_rig: tuple[str, ...] = field(
         default_factory=lambda: tuple(method.name for method in methods() if method.has_rig_scale)
     )
+    has_depths: bool = False  # whether a method measured the depths of all pixels so far
     _lanes: LaneLines | None = None
     # values by method and invalid column
     _n_invalid: Counter[tuple[str, str]] = field(default_factory=Counter)
@@ -198,6 +199,7 @@ class RangingStage:
         of_rig = {
             name: replace(one, scale=rig) for name, one in known.items() if name in self._of_rig
         }
+        self.has_depths |= any(one.is_depth for one in known.values())
         return {**known, **of_rig}
 
     def notes(self) -> tuple[str, ...]:

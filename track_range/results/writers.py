@@ -33,6 +33,7 @@ FILES_OF_WRITERS: Mapping[str, str] = {  # of this package, for help texts
     "mcap": "run.mcap, for Foxglove and ROS 2",
     "rrd": "run.rrd, for Rerun",
     "openscenario": "run.xosc, trajectories for simulators",
+    "depth": "depth.tar, depth of all pixels as 16-bit PNGs",
 }
 
 _RUN_FILES = (  # besides those of its writers
@@ -67,6 +68,7 @@ class ResultWriter(Protocol):
       itself, fails in the same frame, so that all files of a run end with the same frame.
     - `check_requirements()` raises a UserError, before the run begins, if the writer cannot be used, for example
       because a package is missing.
+    - `needs_images`: whether it needs more than the rows of a run, so that `export` cannot write its files.
     - `temporary_files` are names of files that exist only while the run is in progress, and remain if it is killed.
     """
 
@@ -99,6 +101,7 @@ WRITERS: Registry[WriterFactory | str] = Registry(  # imported on first use
         "mcap": "track_range.results.formats.mcap.writer:McapWriter",
         "rrd": "track_range.results.formats.rerun_file:RerunWriter",
         "openscenario": "track_range.results.formats.openscenario_file:OpenScenarioWriter",
+        "depth": "track_range.results.formats.depth_file:DepthWriter",
     },
 )
 

@@ -74,7 +74,7 @@ class RunSession:
             opened.speed, stages.ego, self.rows, reader, settings.start_s
         )
         self._options = options.OptionsWithoutEffect(
-            settings, reader, has_positions=opened.speed.track is not None
+            settings, reader, stages.ranging, has_positions=opened.speed.track is not None
         )
         self._notes: list[str] | None = None  # of the finished run
 

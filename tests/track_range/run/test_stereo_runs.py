@@ -2,8 +2,10 @@
 
 import json
 import shutil
+import tarfile
 
 import av
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -143,3 +145,31 @@ def test_disparity_video_with_options_from_a_file(small_drive, run, tmp_path):
     saved = yaml.safe_load((tmp_path / "out/settings.yaml").read_text())["run"]
     assert saved["sgbm_options"] == {"mode": "sgbm", "block_size": 7}
     assert saved["disparity"] is True
+
+
+@pytest.mark.slow
+def test_depth_of_all_pixels_has_the_distances_of_the_boxes(small_drive, run, tmp_path):
+    alignment = Alignment(offset_px=2.0, residual_px=0.1, source="a test")
+    save_alignment(alignment, tmp_path / "align.yaml")
+    rows, _, _ = run(
+        *pair(small_drive),
+        *("--align", tmp_path / "align.yaml", "--write", "csv,depth", "--no-overlay"),
+    )
+    with tarfile.open(tmp_path / "out/depth.tar") as tar:
+        assert tar.getnames() == [f"sgbm/{index:06d}.png" for index in range(12)]
+        files = [tar.extractfile(member).read() for member in tar]
+    counts = [cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) for data in files]
+    assert counts[0].shape == (188, 620)
+    ratios = []
+    for frame, x1, y1, x2, y2, distance_m in zip(
+        *(rows[name] for name in ("frame", "x1_px", "y1_px", "x2_px", "y2_px", "sgbm_m")),
+        strict=True,
+    ):
+        x, y = int((x1 + x2) / 2), int((y1 + y2) / 2)
+        depth_m = counts[int(frame)][y - 1 : y + 2, x - 1 : x + 2] / 256
+        if np.isfinite(distance_m) and (depth_m > 0).all():
+            ratios.append(np.median(depth_m) / distance_m)
+    assert len(ratios) > 20
+    assert np.median(ratios) == pytest.approx(1.0, abs=0.01)
+    status = run(*pair(small_drive), "--no-sgbm", "--write", "csv,depth", "--no-overlay")
+    assert "depth.tar has no depths" in status[2]

@@ -275,6 +275,11 @@ def _export_rows(
     rows = run.rows.select(is_written)
     frames = frames_listed(boxes_of_run(run, camera))
     writer = create_writer(settings.to)
+    if getattr(writer, "needs_images", False):
+        raise UsageError(
+            f"--to {settings.to}: expected a format of rows; this one needs the images: give "
+            f"--write {settings.to} to a run."
+        )
     if not settings.per_event:
         check_replaceable(settings.out, settings.to)
     fps, poses = run.fps or DEFAULT_FPS, read_poses(run.folder)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from track_range.pipeline.ranging import RangingStage
 from track_range.recording.recording import Recording
 from track_range.recording.sources.names import source_of
 from track_range.run.options.detection import DetectionOptions
@@ -22,6 +23,7 @@ class OptionsWithoutEffect(Reports):
 
     settings: RunSettings
     recording: Recording
+    ranging: RangingStage
     has_positions: bool  # whether the recording has telemetry with positions
 
     def notes(self) -> Sequence[str]:
@@ -47,6 +49,12 @@ class OptionsWithoutEffect(Reports):
             notes.append(
                 "There are no disparities below the overlay: dense stereo requires a calibrated "
                 "pair."
+            )
+        if "depth" in settings.write and not self.ranging.has_depths:
+            notes.append(
+                "depth.tar has no depths: no method of this run measures all pixels; use a calibrated "
+                "pair with sgbm, --stereo-model, --depth-model with a metric network, or a recording "
+                "with depth images."
             )
         return notes
 
