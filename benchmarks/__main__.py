@@ -85,6 +85,10 @@ WORKLOADS = {
         "accuracy.cameras.mono_speed",
         "ego speed of one camera, also without its height",
     ),
+    "networks": (
+        "accuracy.networks.networks",
+        "stereo networks against the matchers, on real pairs with lidar",
+    ),
     "odometry": ("accuracy.cameras.odometry", "speed and yaw rate of the camera from the images"),
     "pipeline": ("speed.runs", "wall time of whole runs relative to inference alone"),
     "processor_time": (

@@ -55,15 +55,10 @@ def evaluate_ranges(
     measure; UsageError: an unknown method, or settings that contradict each other.
     """
     settings, inputs = _with_split(settings), inputs or MethodInputs()
-    names = tuple(_registered(name) for name in settings.methods if name)
     _check(settings)
-    if names:
-        parts = {part for name in names for part in name.split("+")}
-        names = (*names, *(name for name in inputs.networks if name not in parts))
-    check_methods((*names, *inputs.networks), inputs, settings.camera_height_m)
+    names = _names(settings, inputs)
     boxes = _boxes(settings, settings.frames)
     train = _training_boxes(settings, boxes)
-    names = names or method_names(inputs, settings.camera_height_m)
     columns = measured_by(names, boxes, train, _method_options(settings), inputs)
     if settings.truth == "centre":
         columns = _at_centres(columns, boxes)
@@ -103,6 +98,19 @@ def evaluate_ranges(
         "literature": box_evaluation.literature_metrics(boxes, measured),
         "risk_coverage": {name: curves for name, curves in risks.items() if curves},
     }
+
+
+def _names(settings: RangeEvaluationSettings, inputs: MethodInputs) -> tuple[str, ...]:
+    """The methods to evaluate: the chosen ones and those of networks, or all that can measure.
+
+    UsageError: one of them is unknown, or lacks what it needs.
+    """
+    names = tuple(_registered(name) for name in settings.methods if name)
+    if names:
+        parts = {part for name in names for part in name.split("+")}
+        names = (*names, *(name for name in inputs.networks if name not in parts))
+    check_methods((*names, *inputs.networks), inputs, settings.camera_height_m)
+    return names or method_names(inputs, settings.camera_height_m)
 
 
 def _registered(name: str) -> str:

@@ -4,16 +4,19 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 import track_range as tr
+from tests.support.networks.depth_networks import encoded, write_depth, write_stereo
 from tests.toys.toy_method import TOY
 from track_range.foundation.errors import UsageError
 from track_range.ranging import registry
 from track_range.ranging.evaluation.image_methods import LabelledImageError
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.method import MethodError, Ranger
+from track_range.ranging.truth.labelled_boxes import BoxSelection, box_set
 
 
 class FrameNumbers(Ranger):
@@ -87,8 +90,6 @@ def test_method_of_a_module_gets_the_images_of_its_frames(folders, cli, tmp_path
     images = tmp_path / "images" / "seq"
     images.mkdir(parents=True)
     recording = tr.open_recording(folders / "left" / "seq.mp4", focal_px=360)
-    import cv2
-
     for frame in recording.frames:
         cv2.imwrite(str(images / f"{frame.index:06d}.png"), frame.left)
     recording.close()
@@ -162,3 +163,53 @@ def test_method_of_a_module_in_labelled_motion(folders):
     )
     assert by_toy["method"] == "tests.toys.toy_method:TOY"
     assert by_toy["bands"] == again["bands"] != tr.evaluate.motion(labels, **given)["bands"]
+
+
+@pytest.fixture(scope="module")
+def encoded_images(folders, tmp_path_factory):
+    """Images in which each labelled box encodes its true distance, nearest last, on a flat road."""
+    boxes = box_set(
+        folders / "labels", folders / "calib", selection=BoxSelection(has_all_objects=True)
+    )
+    images = tmp_path_factory.mktemp("encoded")
+    (images / "seq").mkdir()
+    width, height = boxes.size_px[0].tolist()
+    camera = boxes.camera_at(0)
+    for index in range(int(boxes.frame.max()) + 1):
+        below_px = np.maximum(np.arange(height) - camera.cy_px, 1.0)
+        road_m = np.minimum(1.65 * camera.fy_px / below_px, 70.0)
+        depth_m = np.repeat(road_m[:, None], width, axis=1)
+        rows = np.flatnonzero(boxes.frame == index)
+        for row in rows[np.argsort(-boxes.distance_m[rows])]:
+            x1, y1, x2, y2 = np.rint(boxes.xyxy_px[row]).astype(int).clip(0)
+            depth_m[y1 : y2 + 1, x1 : x2 + 1] = boxes.distance_m[row]
+        cv2.imwrite(str(images / "seq" / f"{index:06d}.png"), encoded(depth_m))
+    return images
+
+
+def test_depth_networks_beside_mono(folders, encoded_images, tmp_path):
+    """Both are corrected by the sizes of the same boxes, so that a factor of 0.7 is no error."""
+    exact = write_depth(tmp_path / "exact.onnx")
+    short = write_depth(tmp_path / "short.onnx", factor=0.7)
+    given = {"images": encoded_images, "depth_model": [exact, short]}
+    figures = evaluated(folders, ["mono"], **given)
+    cars = {name: row["car"] for name, row in figures["methods"].items()}
+    assert list(cars) == ["mono", "depth-exact", "depth-short"]
+    for name in ("depth-exact", "depth-short"):
+        assert cars[name]["coverage"] > 0.8
+        assert cars[name]["median_relative_error_pct"] < 8
+        assert cars[name]["within_2_sigma"] > 0.9
+    assert cars["mono"] == evaluated(folders, ["mono"])["methods"]["mono"]["car"]
+    with pytest.raises(UsageError, match=r"depth: needs image; give images="):
+        evaluated(folders, ["mono"], depth_model=[exact])
+    assert "depth" not in evaluated(folders, [])["methods"]
+
+
+def test_stereo_network_beside_stereo(folders, tmp_path):
+    """A network of constant disparities gives all objects one distance."""
+    network = write_stereo(tmp_path / "flat.onnx", factor=0.0, offset=10.0)
+    figures = evaluated(folders, ["stereo"], stereo_model=[network], **pair(folders))
+    assert list(figures["methods"]) == ["stereo", "disparity"]
+    cars = {name: row["car"] for name, row in figures["methods"].items()}
+    assert cars["disparity"]["mean_relative_error_pct"] > 10
+    assert cars["stereo"]["mean_relative_error_pct"] < 5

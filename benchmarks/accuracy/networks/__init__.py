@@ -1,0 +1,1 @@
+"""Networks as ranging methods and matchers, on real data."""
