@@ -22,6 +22,7 @@ from track_range.ranging.methods.method import (
     ErrorSource,
     Measured,
     MethodContext,
+    OpenedNetwork,
     Ranger,
     RangingMethod,
 )
@@ -40,15 +41,11 @@ _NAME = "depth"
 _REFERENCES = ("stereo", "mono")  # for networks that are right up to scale and shift
 
 
-class DepthSource(Protocol):
+class DepthSource(OpenedNetwork, Protocol):
     """An open network, or what measures like one."""
 
     def measure(self, image: Image, fx_px: float) -> DenseMap:
         """The depth of an image (H, W, 3) in BGR, of a camera with this focal length."""
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Messages for the user."""
 
 
 class NetworkDepthRanger(Ranger):
@@ -64,7 +61,8 @@ class NetworkDepthRanger(Ranger):
         """Start a ranger of the method `name`; `errors` are measured ones of the network, None =
         those of any network.
         """
-        self._name, self.network, self._camera = name, network, camera
+        self._name, self._source, self._camera = name, network, camera
+        self.network = network
         self._errors = errors or NetworkErrors()
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=name)
         self._relative = RelativeFit()
@@ -130,18 +128,18 @@ class NetworkDepthRanger(Ranger):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Messages about the network."""
+        """What a relative network is used for."""
         if not self._relative.is_used:
-            return self.network.notes
+            return ()
         sentence = (
             f"The depth network {self._name} is right up to scale and shift: its distances are "
             "calibrated by those of other methods, and fused only where these have none."
         )
-        return (*self.network.notes, Note(sentence, "depth-network-relative", "ok", "methods"))
+        return (Note(sentence, "depth-network-relative", "ok", "methods"),)
 
     def _depths(self, image: Image) -> DenseMap:
         start_s = time.perf_counter()
-        depths = self.network.measure(image, self._camera.fx_px)
+        depths = self._source.measure(image, self._camera.fx_px)
         self.background_s += time.perf_counter() - start_s
         return depths
 
