@@ -8,15 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.errors import Note
 from track_range.foundation.files.input_files import counted
-from track_range.foundation.track_state import TrackState
 from track_range.ranging.cameras.evidence import Evidence, SeenFrame
 from track_range.ranging.cameras.posterior import CameraPosterior
 from track_range.ranging.cameras.unknowns import NetworkFactor, Prior, Sum, Unknown
+from track_range.ranging.size_models.network_cells import CellAverages
 from track_range.ranging.size_models.network_scale import (
-    NetworkCells,
     NetworkErrors,
     NetworkScale,
     network_scale,
@@ -24,9 +22,6 @@ from track_range.ranging.size_models.network_scale import (
 from track_range.ranging.size_models.shared_sizes import shared_variance
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 
-_CELL_LOG = 0.25  # range of log d of a cell
-_CELLS_PER_TRACK = 64
-_MAX_CELLS = 600
 # of references, relative: by size, and by the pair
 _MAX_SIZE_SIGMA, _MAX_RIG_SIGMA = 0.25, 0.15
 _MIN_TRACKS = 2
@@ -45,9 +40,7 @@ class NetworkEvidence:
     def __init__(self, name: str, errors: NetworkErrors) -> None:
         self.name, self._errors = name, errors
         self.unknown = NetworkFactor(name)
-        # number of frames, means of log d, log z / d, the reference's variance and noise, sum of
-        # squared deviations, track, class
-        self._cells = TrackState(np.zeros(8))
+        self._cells = CellAverages()
         self._by_rig: bool | None = None
         self._free: NetworkScale | None = None  # of the frames so far; None = not computed
         self.scale = NetworkScale(errors, errors.log_factor)
@@ -83,22 +76,7 @@ class NetworkEvidence:
             else:
                 is_used &= variance < _MAX_RIG_SIGMA**2
         values = np.array([log_m, ratio, variance, noise])
-        self._add(values[:, is_used], tracks.track_id[is_used], tracks.class_id[is_used])
-
-    def _add(self, values: FloatArray, track_id: IntArray, class_id: IntArray) -> None:
-        """Average the values (4, N) of tracks with those of the same distances before."""
-        if not len(track_id):
-            return
-        bins = np.clip(np.floor(values[0] / _CELL_LOG), 0, _CELLS_PER_TRACK - 1)
-        cell = (track_id * _CELLS_PER_TRACK + bins).astype(np.int64)
-        state = self._cells.get(cell)
-        state[0] += 1.0
-        before = state[2].copy()
-        state[1:5] += (values - state[1:5]) / state[0]
-        state[5] += (values[1] - before) * (values[1] - state[2])
-        state[6], state[7] = track_id, class_id
-        stays = np.arange(self._cells.known.shape[1]) < _MAX_CELLS
-        self._cells.put(cell, state, keep_known=stays)
+        self._cells.add(values[:, is_used], tracks.track_id[is_used], tracks.class_id[is_used])
         self._free = None
 
     @property
@@ -113,9 +91,7 @@ class NetworkEvidence:
 
     def _of_cells(self) -> NetworkScale:
         if self._free is None:
-            n, log_m, ratio, variance, noise, squares, track_id, class_id = self._cells.known
-            ids = track_id.astype(np.int64), class_id.astype(np.int64)
-            cells = NetworkCells(log_m, ratio, variance, n, squares, noise, *ids)
+            cells = self._cells.cells
             self._free = network_scale(cells, self._errors, by_size=not self._by_rig)
         return self._free
 

@@ -7,7 +7,6 @@ its errors (`NetworkScale`).
 import time
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -97,7 +96,7 @@ class NetworkDepthRanger(Ranger):
         if not depths.is_metric:
             if depths.quantity == "inverse_depth":
                 return Measured(self._by_others(tracks, values, sigmas, others, frame.time_s))
-            errors = replace(errors, drive_sigma=FREE_SIGMA)  # right up to a factor
+            errors = errors.model_copy(update={"drive_sigma": FREE_SIGMA})  # right up to a factor
         raw = _raw(tracks, depths, values, sigmas)
         before = NetworkScale(errors, errors.log_factor, errors.drive_sigma_before)
         corrected = scale.network.get(self._name, before).corrected(raw, tracks.class_id)

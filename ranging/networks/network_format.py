@@ -6,6 +6,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 
 from track_range.detection.models.onnx_session import ModelError
 from track_range.foundation.schemas.validation import Integer, Number, PositiveNumber
+from track_range.ranging.size_models.network_scale import NetworkErrors
 
 Task = Literal["depth", "stereo"]
 Gives = Literal["depth", "inverse_depth", "points", "disparity"]
@@ -71,6 +72,8 @@ class NetworkFormat(BaseModel):
     # number of pixels of an input of variable size; None = that of the image
     area: Annotated[Integer, Field(ge=32**2, le=MAX_SIDE_PX**2)] | None = None
     size: tuple[_Side, _Side] | None = None  # height, width of an input of variable size
+    # of a depth network, as `track-range fit --depth-model` measured them; None = of any network
+    errors: NetworkErrors | None = None
 
     @model_validator(mode="after")
     def _agrees(self) -> Self:

@@ -17,20 +17,25 @@ distances are possible, and sigma is as wide.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 from scipy.special import logsumexp
 
 from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.foundation.schemas.validation import Number, PositiveNumber
 from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.size_models.network_cells import NO_CELLS, NetworkCells
 from track_range.ranging.size_models.shared_sizes import CLASS_SIGMA
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 
 _KNOTS = np.log([2.0, 4.0, 7.0, 12.0, 20.0, 33.0, 55.0, 90.0, 150.0])
 _N_CLASSES = len(SIZE_CLASSES)
+_Sigma = Annotated[Number, Field(gt=0, le=3)]
 _LOG_M = np.linspace(math.log(1.0), math.log(300.0), 180)  # (G,) grid of the distance
 
 
@@ -56,25 +61,36 @@ _FLAT = 0.6  # fall of g at which a network says little of distances
 _USELESS = 1.0  # sigma of log d above which an object is not measured
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NetworkErrors:
-    """What is known of a network's errors before a drive, as sigmas of logarithms: of any network,
-    or measured for one (`track-range fit --depth-model`).
+class NetworkErrors(BaseModel):
+    """What is known of a network's errors before a drive, as sigmas of logarithms: of any network, or
+    measured for one by `track-range fit --depth-model`, which writes it as `errors` to MODEL.yaml.
 
-    The factor of a drive: networks that were not trained on its camera. Errors of at most 25 % have
-    86 % of the pixels of UniDepth on nuScenes and 98.6 % on KITTI, 28 % and 96 % of ZoeDepth. With
-    the noise of each on KITTI (0.09, 0.11), that is a factor of exp(±0.13) and exp(±0.29) on
-    nuScenes: a root mean square of 0.22.
+    The factor of a drive is that of networks which were not trained on its camera. Errors of at most
+    25 % have 86 % of the pixels of UniDepth on nuScenes and 98.6 % on KITTI, 28 % and 96 % of
+    ZoeDepth. With the noise of each on KITTI (0.09, 0.11), that is a factor of exp(0.13) and
+    exp(0.29) on nuScenes: a root mean square of 0.22.
     """
 
-    drive_sigma: float = 0.22
-    log_factor: float = 0.0  # mean of the drives
-    class_sigma: float = 0.06
-    track_sigma: float = 0.1
-    noise_sigma: float = 0.05
-    class_log_factor: tuple[float, ...] = (0.0,) * _N_CLASSES  # of `SIZE_CLASSES`
-    slope: float = 0.0  # mean of the change of g per unit of log d
-    is_measured: bool = False  # for this network
+    model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)
+
+    factor: PositiveNumber = 1.0  # of the drives: measured over true distance
+    drive_sigma: _Sigma = 0.22
+    class_factors: Mapping[str, PositiveNumber] = {}  # of size classes, beside that of the drive
+    class_sigma: _Sigma = 0.06
+    track_sigma: _Sigma = 0.1
+    noise_sigma: _Sigma = 0.05
+    slope: Number = 1.0  # of log z over log d
+    source: str = ""  # the labels that show it
+
+    @property
+    def log_factor(self) -> float:
+        """Logarithm of the factor of the drives."""
+        return math.log(self.factor)
+
+    @property
+    def class_log_factors(self) -> FloatArray:
+        """(C,) logarithms of the factors of `SIZE_CLASSES`."""
+        return np.log([self.class_factors.get(name, 1.0) for name in SIZE_CLASSES])
 
     @property
     def drive_sigma_before(self) -> float:
@@ -88,22 +104,6 @@ class NetworkDistances:
 
     ranges: Ranges
     errors: NetworkErrors
-    class_id: IntArray
-
-
-@dataclass(frozen=True, slots=True)
-class NetworkCells:
-    """Log ratios of the network's distances and those of the references, one for each track and
-    range of distances (K,).
-    """
-
-    log_m: FloatArray  # mean of log d
-    ratio: FloatArray  # mean of log z - log d
-    variance: FloatArray  # of the mean, by the references' own errors
-    n_frames: FloatArray
-    squares: FloatArray  # sum of squared deviations from the mean
-    noise_variance: FloatArray  # of the references in a frame
-    track_id: IntArray
     class_id: IntArray
 
 
@@ -136,7 +136,7 @@ class NetworkScale:
         """Log weights (S,) of the shapes, means of log z (S, G), and their variances, at the
         grid.
         """
-        curves = self.curves or _solved(_NO_CELLS, self.errors, np.zeros(0), class_variance=0.0)
+        curves = self.curves or _solved(NO_CELLS, self.errors, np.zeros(0), class_variance=0.0)
         rows = _rows(_LOG_M) - _rows(np.array([self.centre]))
         mean = _LOG_M + self.log_factor + curves.mean @ rows.T
         variance = np.einsum("gp,spq,gq->sg", rows, curves.covariance, rows)
@@ -146,7 +146,7 @@ class NetworkScale:
     def _of_classes(self) -> tuple[FloatArray, FloatArray]:
         """(C,) mean and variance of the factor of each class."""
         if self.curves is None:
-            prior = np.array(self.errors.class_log_factor)
+            prior = self.errors.class_log_factors
             return prior, np.full(_N_CLASSES, self.errors.class_sigma**2)
         w, classes = self.curves.weight, slice(-_N_CLASSES, None)
         mean = w @ self.curves.mean[:, classes]
@@ -264,9 +264,6 @@ def network_scale(cells: NetworkCells, errors: NetworkErrors, *, by_size: bool) 
     )
 
 
-_NO_CELLS = NetworkCells(*np.zeros((6, 0)), *np.zeros((2, 0), np.int64))
-
-
 def _rows(log_m: FloatArray) -> FloatArray:
     """(N, P) coefficients of the parameters n + g at log distances: of the values at the knots, and
     of the classes, which are 0.
@@ -294,7 +291,7 @@ def _solved(
     # the covariance of a random walk that starts in the middle
     same_side = np.sign(from_centre)[:, None] * np.sign(from_centre) > 0
     reach = np.minimum(np.abs(from_centre)[:, None], np.abs(from_centre)) * same_side
-    mean0 = np.concatenate([errors.slope * from_centre, errors.class_log_factor])
+    mean0 = np.concatenate([(errors.slope - 1.0) * from_centre, errors.class_log_factors])
     log_p, means, covariances = [], [], []
     W = A.T / variance
     for shape in _SHAPES:
@@ -323,7 +320,7 @@ def _with_own_classes(curves: _Curves, errors: NetworkErrors, class_variance: fl
     part = np.ones(curves.mean.shape[1])
     part[-_N_CLASSES:] = own
     mean0 = np.zeros(len(part))
-    mean0[-_N_CLASSES:] = errors.class_log_factor
+    mean0[-_N_CLASSES:] = errors.class_log_factors
     rest = np.zeros(len(part))
     rest[-_N_CLASSES:] = (1.0 - own) * errors.class_sigma**2
     covariance = curves.covariance * np.outer(part, part) + np.diag(rest)
