@@ -21,6 +21,7 @@ from track_range.ranging.methods.method import (
     ErrorSource,
     Measured,
     MethodContext,
+    MethodError,
     OpenedNetwork,
     Ranger,
     RangingMethod,
@@ -192,3 +193,21 @@ def network_method(name: str) -> RangingMethod:
 
 
 DEPTH = network_method(_NAME)
+
+
+class OwnDistances(NetworkDepthRanger):
+    """Ranges each box by the network's own distances, without a correction: for the measurement of
+    its errors.
+    """
+
+    def measure_at_scale(
+        self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale
+    ) -> Measured:
+        """The network's distances, with the sigmas of their surfaces."""
+        measured = super().measure_at_scale(tracks, frame, others, scale)
+        if measured.by_network is None:
+            raise MethodError(
+                f"{self._source.path}: expected a network whose depths are right up to a factor, found "
+                "one with a scale and a shift, whose errors are those of the methods that calibrate it."
+            )
+        return Measured(measured.by_network.ranges)

@@ -143,7 +143,7 @@ class NetworkScale:
         return np.log(curves.weight), mean, variance
 
     @cached_property
-    def _of_classes(self) -> tuple[FloatArray, FloatArray]:
+    def class_factors(self) -> tuple[FloatArray, FloatArray]:
         """(C,) mean and variance of the factor of each class."""
         if self.curves is None:
             prior = self.errors.class_log_factors
@@ -185,7 +185,7 @@ class NetworkScale:
         distance_m, sigma_m, systematic_m = np.full((3, len(raw)), np.nan)
         if len(rows):
             log_weight, mean, variance = self._at_grid
-            of_class, class_variance = self._of_classes
+            of_class, class_variance = self.class_factors
             own = raw.sigma_m[rows] / raw.distance_m[rows]
             noise = np.maximum(np.nan_to_num(own) ** 2, self.noise_sigma**2)
             k = class_id[rows]

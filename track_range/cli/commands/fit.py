@@ -2,7 +2,9 @@
 detector's boxes.
 """
 
+import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -19,7 +21,7 @@ from track_range.detection.evaluation.box_error_fit import (
     BoxErrorSamples,
 )
 from track_range.detection.formats.tables.errors import LabelFileError
-from track_range.detection.models.onnx_session import ModelError
+from track_range.detection.models.onnx_session import ModelError, Runtime
 from track_range.evaluation.sequences.labelled_images import LabelledSource
 from track_range.evaluation.sequences.settings import (
     LabelFormatField,
@@ -33,6 +35,7 @@ from track_range.foundation.files.output_files import write_text
 from track_range.foundation.files.structured_text import read_yaml, yaml_text
 from track_range.foundation.schemas.options import option
 from track_range.ranging.fitting.fit import TABLE_DISTANCES_M, CurveFit, fit_sizes
+from track_range.ranging.fitting.network_fit import FittedNetwork
 from track_range.ranging.fitting.settings import FitSettings
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.log_linear import SizeCurves
@@ -40,9 +43,11 @@ from track_range.ranging.size_models.plain_curves import TableSizes
 from track_range.ranging.size_models.size_model import StoredSizeModel
 from track_range.run.options.detection import SizeField, ThreadsField
 from track_range.run.options.opened import DetectorOptions, class_names, open_detector
-from track_range.run.progress import frame_progress
+from track_range.run.progress import frame_progress, step_progress
 from track_range.run.ready_model import ready_model
 from track_range.views import tables
+
+_MIN_DRIVES = 3  # of a spread that the sequences show, not what is known of networks
 
 
 class FitOptions(FitSettings):
@@ -59,11 +64,21 @@ class FitOptions(FitSettings):
             metavar="FILE|NAME",
         ),
     ] = None
+    depth_model: Annotated[
+        Path | None,
+        option(
+            "Depth network whose distances are compared with KITTI tracking labels (--labels, "
+            "--calib) in their --images. Its factor in a drive, by class and track, its noise and its "
+            "slope are written to MODEL.yaml beside the file, from which all later runs take them.",
+            metavar="FILE.onnx",
+        ),
+    ] = None
     images: Annotated[
         Path | None,
         option(
             "Labelled images for --detector-boxes, not used for training, with YOLO, KITTI or COCO "
-            "--labels: a folder, or the video of KITTI tracking labels.",
+            "--labels: a folder, or the video of KITTI tracking labels. For --depth-model: a folder "
+            "with the images or the video of each sequence, named like its labels.",
             metavar="DIR|FILE",
         ),
     ] = None
@@ -144,7 +159,74 @@ def _box_error_grid(fits: Mapping[str, tuple[BoxError, int]]) -> tables.Grid:
     return tables.grid_of("Systematic errors of the boxes", "class", list(fits), columns)
 
 
+def _fit_depth_model(options: FitOptions, model: Path) -> None:
+    if options.labels is None or options.calib is None or options.images is None:
+        raise UsageError(
+            "--depth-model requires --labels, --calib and --images: KITTI tracking labels of some "
+            "sequences, and their images."
+        )
+    # onnxruntime takes long to import
+    from track_range.evaluation.network_errors import fit_depth_model, write_errors
+
+    network, fitted = fit_depth_model(
+        model,
+        options.labels,
+        options.calib,
+        options.images,
+        leave_out=options.leave_out,
+        runtime=Runtime(n_threads=options.threads),
+        progress=partial(step_progress, console),
+    )
+    print_grid(console, *_depth_grids(fitted))
+    notes = [
+        "Factors are measured over labelled distances, ± the spread of drives, classes, tracks and "
+        "frames. Left out: errors of a sequence after the mean factor of the others alone; a run "
+        "also corrects the factor of its own drive.",
+    ]
+    if len(fitted.sequences) < _MIN_DRIVES:
+        notes.append(
+            f"With {counted(len(fitted.sequences), 'sequence')}, the spread between drives is mostly "
+            "that of networks in general; give more sequences."
+        )
+    print_notes(console, notes)
+    print_line(console, f"Written: {write_errors(network, fitted, options.out)}")
+
+
+def _depth_grids(fitted: FittedNetwork) -> list[tables.Grid]:
+    errors, drives = fitted.errors, fitted.sequences
+    factors = {
+        "drive": (errors.factor, errors.drive_sigma),
+        **{name: (value, errors.class_sigma) for name, value in errors.class_factors.items()},
+        "track": (None, errors.track_sigma),
+        "frame": (None, errors.noise_sigma),
+    }
+    columns = [
+        tables.Column("factor", [factor for factor, _ in factors.values()], "{:.3f}"),
+        tables.Column("± %", [sigma for _, sigma in factors.values()], scale=100),
+    ]
+    scales = [drive.scale for drive in drives]
+    of_drives = [
+        tables.Column("boxes", [float(drive.n_boxes) for drive in drives], "{:.0f}"),
+        tables.Column("factor", [math.exp(s.of_reference.mean) for s in scales], "{:.3f}"),
+        tables.Column("± %", [s.of_reference.sigma for s in scales], scale=100),
+        tables.Column("slope", [s.slope.mean for s in scales], "{:.2f}"),
+        tables.Column("track %", [s.track_sigma for s in scales], scale=100),
+        tables.Column("frame %", [s.noise_sigma for s in scales], scale=100),
+        tables.Column("left out %", _known([100 * d.left_out_error for d in drives])),
+        tables.Column("within 1 sigma %", _known([100 * d.within[0] for d in drives]), "{:.0f}"),
+        tables.Column("within 2 sigma %", _known([100 * d.within[1] for d in drives]), "{:.0f}"),
+    ]
+    title = f"Errors of the depth network (slope {errors.slope:.2f}; 1 = right)"
+    return [
+        tables.grid_of(title, "part", list(factors), columns),
+        tables.grid_of("Sequences", "sequence", [drive.name for drive in drives], of_drives),
+    ]
+
+
 def _fit(settings: FitOptions) -> None:
+    if settings.depth_model is not None:
+        _fit_depth_model(settings, settings.depth_model)
+        return
     if settings.detector_boxes is not None:
         _fit_detector_boxes(settings)
         return
