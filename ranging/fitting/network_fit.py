@@ -6,6 +6,7 @@ factors of sequences have the mean and the spread of the drives. Each sequence i
 the errors that the others show, without any correction by its own labels.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -84,11 +85,18 @@ def fit_network(boxes: BoxSet, measured: MethodColumn, *, source: str = "") -> F
     return FittedNetwork(errors, tuple(sequences))
 
 
+def factor_sigma(scale: NetworkScale) -> float:
+    """Standard deviation of the factor of a sequence by its number of tracks, without that of the
+    classes, which sequences share.
+    """
+    return scale.track_sigma / math.sqrt(scale.n_tracks)
+
+
 def _errors(drives: Sequence[NetworkScale], source: str = "") -> NetworkErrors:
     """The mean and the spread of the drives; what few of them do not show is as of any network."""
     usual, n = NetworkErrors(), len(drives)
     factor = np.array([scale.of_reference.mean for scale in drives])
-    own = np.array([scale.of_reference.sigma for scale in drives]) ** 2
+    own = np.array([factor_sigma(scale) for scale in drives]) ** 2
     mean = float(factor.mean())
     spread2 = _with_prior(
         ((factor - mean) ** 2).sum() - (1 - 1 / n) * own.sum(), n - 1, usual.drive_sigma

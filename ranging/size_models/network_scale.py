@@ -35,6 +35,7 @@ from track_range.ranging.size_models.size_model import SIZE_CLASSES
 
 _KNOTS = np.log([2.0, 4.0, 7.0, 12.0, 20.0, 33.0, 55.0, 90.0, 150.0])
 _N_CLASSES = len(SIZE_CLASSES)
+_CLASS_SIGMA = 0.06  # of the factors of classes, of any network
 _Sigma = Annotated[Number, Field(gt=0, le=3)]
 _LOG_M = np.linspace(math.log(1.0), math.log(300.0), 180)  # (G,) grid of the distance
 
@@ -76,7 +77,7 @@ class NetworkErrors(BaseModel):
     factor: PositiveNumber = 1.0  # of the drives: measured over true distance
     drive_sigma: _Sigma = 0.22
     class_factors: Mapping[str, PositiveNumber] = {}  # of size classes, beside that of the drive
-    class_sigma: _Sigma = 0.06
+    class_sigma: _Sigma = _CLASS_SIGMA
     track_sigma: _Sigma = 0.1
     noise_sigma: _Sigma = 0.05
     slope: Number = 1.0  # of log z over log d
@@ -91,6 +92,15 @@ class NetworkErrors(BaseModel):
     def class_log_factors(self) -> FloatArray:
         """(C,) logarithms of the factors of `SIZE_CLASSES`."""
         return np.log([self.class_factors.get(name, 1.0) for name in SIZE_CLASSES])
+
+    @property
+    def class_variances(self) -> FloatArray:
+        """(C,) variances of the factors of `SIZE_CLASSES`; those of others than the measured classes
+        are as of any network.
+        """
+        is_measured = np.array([name in self.class_factors for name in SIZE_CLASSES])
+        usual = 0.0 if not self.class_factors else _CLASS_SIGMA**2
+        return self.class_sigma**2 + np.where(is_measured, 0.0, usual)
 
     @property
     def drive_sigma_before(self) -> float:
@@ -147,7 +157,7 @@ class NetworkScale:
         """(C,) mean and variance of the factor of each class."""
         if self.curves is None:
             prior = self.errors.class_log_factors
-            return prior, np.full(_N_CLASSES, self.errors.class_sigma**2)
+            return prior, self.errors.class_variances
         w, classes = self.curves.weight, slice(-_N_CLASSES, None)
         mean = w @ self.curves.mean[:, classes]
         return mean, w @ np.einsum("spp->sp", self.curves.covariance)[:, classes]
@@ -295,7 +305,8 @@ def _solved(
     log_p, means, covariances = [], [], []
     W = A.T / variance
     for shape in _SHAPES:
-        prior = np.diag(np.full(len(mean0), errors.class_sigma**2 + class_variance))
+        prior = np.zeros((len(mean0), len(mean0)))
+        prior[n_knots:, n_knots:] = np.diag(errors.class_variances + class_variance)
         prior[:n_knots, :n_knots] = (
             FREE_SIGMA**2
             + shape.slope_sigma**2 * np.outer(from_centre, from_centre)
@@ -316,12 +327,12 @@ def _solved(
 
 def _with_own_classes(curves: _Curves, errors: NetworkErrors, class_variance: float) -> _Curves:
     """The curves with the factors of classes that are the network's, not the references'."""
-    own = errors.class_sigma**2 / (errors.class_sigma**2 + class_variance)
+    own = errors.class_variances / (errors.class_variances + class_variance)
     part = np.ones(curves.mean.shape[1])
     part[-_N_CLASSES:] = own
     mean0 = np.zeros(len(part))
     mean0[-_N_CLASSES:] = errors.class_log_factors
     rest = np.zeros(len(part))
-    rest[-_N_CLASSES:] = (1.0 - own) * errors.class_sigma**2
+    rest[-_N_CLASSES:] = (1.0 - own) * errors.class_variances
     covariance = curves.covariance * np.outer(part, part) + np.diag(rest)
     return curves._replace(mean=mean0 + part * (curves.mean - mean0), covariance=covariance)

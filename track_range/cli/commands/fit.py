@@ -35,7 +35,7 @@ from track_range.foundation.files.output_files import write_text
 from track_range.foundation.files.structured_text import read_yaml, yaml_text
 from track_range.foundation.schemas.options import option
 from track_range.ranging.fitting.fit import TABLE_DISTANCES_M, CurveFit, fit_sizes
-from track_range.ranging.fitting.network_fit import FittedNetwork
+from track_range.ranging.fitting.network_fit import FittedNetwork, factor_sigma
 from track_range.ranging.fitting.settings import FitSettings
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.log_linear import SizeCurves
@@ -208,7 +208,7 @@ def _depth_grids(fitted: FittedNetwork) -> list[tables.Grid]:
     of_drives = [
         tables.Column("boxes", [float(drive.n_boxes) for drive in drives], "{:.0f}"),
         tables.Column("factor", [math.exp(s.of_reference.mean) for s in scales], "{:.3f}"),
-        tables.Column("± %", [s.of_reference.sigma for s in scales], scale=100),
+        tables.Column("± %", [factor_sigma(s) for s in scales], scale=100),
         tables.Column("slope", [s.slope.mean for s in scales], "{:.2f}"),
         tables.Column("track %", [s.track_sigma for s in scales], scale=100),
         tables.Column("frame %", [s.noise_sigma for s in scales], scale=100),
