@@ -130,7 +130,7 @@ MOST_STATEMENTS = {
     # methods that need images or a pair, on labelled boxes, any fusion of methods, and differences of
     # methods with their noise (100), and networks corrected by their drives (25)
     # methods of networks by the names of files, and methods that only runs have which ask for them (50)
-    "ranging": 10_027,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 10_142,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
     # `check` (4)
@@ -161,7 +161,7 @@ MOST_STATEMENTS = {
     # the command of the plane of the road, and what a fixed camera prints (20)
     # a condition without a folder (4)
     # methods of labelled boxes compared, with the progress of their images (9)
-    "cli": 2_631,
+    "cli": 2_658,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (143), several drives together, and intervals of rates (49)
@@ -173,7 +173,7 @@ MOST_STATEMENTS = {
     # intervals of tracks and motion (21)
     # limits of figures (99)
     # images of labelled sequences (31); stereo networks as matchers (40)
-    "evaluation": 2_099,  # times and region of labelled motion, and every class of nuScenes (10)
+    "evaluation": 2_143,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     # earlier names of columns (4)
     # clips from the first stage that changed: keys, boxes, rows and poses that are kept (345), and a
