@@ -7,8 +7,8 @@ of the drive, a value of the cameras' posterior (`Unknown`), and g how the facto
 distance. c_k belongs to the class, e_i to the track, v_it to the frame. A network that is right has
 g = 0; one that says nothing of distances has g' = -1, and one that saturates has it at the far end.
 
-g is a linear interpolation between `_KNOTS`, by one of three hypotheses (`_SHAPES`): constant,
-bent, or any. They are weighed by their marginal likelihoods, so that there is no threshold between
+g is a linear interpolation between `_KNOTS`, by one of several hypotheses (`_SHAPES`):
+constant, bent, falling with the distance from a limit on, or any. They are weighed by their marginal likelihoods, so that there is no threshold between
 a network that is right and one that says nothing. The distance of an object is the posterior mean
 of log d, with a flat prior, given z: where the network does not change with the distance, all
 distances are possible, and sigma is as wide.
@@ -48,10 +48,15 @@ class _Shape(NamedTuple):
     probability: float
     slope_sigma: float
     change_sigma: float
+    saturates_m: float = math.inf  # distance above which the network gives this one
 
 
-# a network that is right, one that compresses distances, and one that may say nothing
-_SHAPES = _Shape(0.6, 0.03, 0.02), _Shape(0.25, 0.15, 0.1), _Shape(0.15, 0.5, 0.5)
+_SHAPES = (
+    _Shape(0.6, 0.03, 0.02),  # a network that is right
+    _Shape(0.2, 0.15, 0.1),  # one that compresses distances
+    *(_Shape(0.02, 0.03, 0.06, limit_m) for limit_m in (20.0, 27.0, 36.0, 48.0, 64.0)),
+    _Shape(0.1, 0.5, 0.5),  # one that may say nothing
+)
 FREE_SIGMA = 3.0  # of n, whose prior is that of the cameras' posterior
 _TAIL_SIGMA = 0.22  # that unusual networks add to that of n before a drive
 _N_ROUNDS, _CAUCHY_SIGMA = 4, 2.0  # of reweighting; scale of the weights in sigmas
@@ -243,8 +248,10 @@ def network_scale(cells: NetworkCells, errors: NetworkErrors, *, by_size: bool) 
     A, robust = _design(cells), np.ones(len(log_m))
     for _ in range(_N_ROUNDS):
         curves = _solved(cells, errors, variance / robust, class_variance=own_variance)
-        residual2 = (cells.ratio[:, None] - A @ curves.mean.T) ** 2 @ curves.weight
-        robust = 1.0 / (1.0 + residual2 / variance / _CAUCHY_SIGMA**2)
+        # from the most general shape: far objects of a network that saturates are no outliers
+        of_shapes = (cells.ratio[:, None] - A @ curves.mean.T) ** 2
+        robust = 1.0 / (1.0 + of_shapes[:, -1] / variance / _CAUCHY_SIGMA**2)
+        residual2 = of_shapes @ curves.weight
         share = robust / n_per_track
         before = _N_TRACKS_BEFORE * errors.track_sigma**2
         track2 = before + (share * (residual2 - known)).sum()
@@ -301,10 +308,12 @@ def _solved(
     # the covariance of a random walk that starts in the middle
     same_side = np.sign(from_centre)[:, None] * np.sign(from_centre) > 0
     reach = np.minimum(np.abs(from_centre)[:, None], np.abs(from_centre)) * same_side
-    mean0 = np.concatenate([(errors.slope - 1.0) * from_centre, errors.class_log_factors])
+    usual = np.concatenate([(errors.slope - 1.0) * from_centre, errors.class_log_factors])
     log_p, means, covariances = [], [], []
     W = A.T / variance
     for shape in _SHAPES:
+        mean0 = usual.copy()
+        mean0[:n_knots] -= np.maximum(_KNOTS - math.log(shape.saturates_m), 0.0)
         prior = np.zeros((len(mean0), len(mean0)))
         prior[n_knots:, n_knots:] = np.diag(errors.class_variances + class_variance)
         prior[:n_knots, :n_knots] = (
