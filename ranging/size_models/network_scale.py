@@ -7,11 +7,11 @@ of the drive, a value of the cameras' posterior (`Unknown`), and g how the facto
 distance. c_k belongs to the class, e_i to the track, v_it to the frame. A network that is right has
 g = 0; one that says nothing of distances has g' = -1, and one that saturates has it at the far end.
 
-g is a linear interpolation between `_KNOTS`, by one of several hypotheses (`_SHAPES`):
-constant, bent, falling with the distance from a limit on, or any. They are weighed by their marginal likelihoods, so that there is no threshold between
-a network that is right and one that says nothing. The distance of an object is the posterior mean
-of log d, with a flat prior, given z: where the network does not change with the distance, all
-distances are possible, and sigma is as wide.
+g is a linear interpolation between `_KNOTS`, by one of several hypotheses (`_SHAPES`): constant,
+bent, falling with the distance from a limit on, or any. They are weighed by their marginal
+likelihoods, so that there is no threshold between a network that is right and one that says
+nothing. The distance of an object is the posterior mean of log d, with a flat prior, given z: where
+the network does not change with the distance, all distances are possible, and sigma is as wide.
 """
 
 from __future__ import annotations
