@@ -7,7 +7,7 @@ alarms have this threshold: sigmas follow the probabilities (`CameraPosterior.si
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -32,9 +32,9 @@ from track_range.ranging.cameras.unknowns import (
     OF_BASELINE,
     OF_PAIR,
     USUAL_HEIGHT_M,
+    AnyUnknown,
     CameraPriors,
     Kind,
-    NetworkFactor,
     Prior,
     Sum,
     Unknown,
@@ -219,10 +219,10 @@ class ScaleCheck:
 
     def update(self, seen: SeenFrame) -> bool:
         """Add a frame; True = the posterior and the doubt are new."""
-        for name in seen.by_network.keys() - self._networks.keys():
-            self._networks[name] = NetworkEvidence(name, seen.by_network[name].errors)
-            self._sources.append(self._networks[name])
-        for source in self._sources:
+        for name, network in seen.by_network.items():
+            if name not in self._networks:
+                self._networks[name] = NetworkEvidence(name, network.errors)
+        for source in (*self._sources, *self._networks.values()):
             source.add(seen)
         if seen.time_s < self._due_s and self.rig_scale.is_known:
             return False
@@ -354,13 +354,11 @@ class ScaleCheck:
             kind: Kind = "given" if self._is_calibrated else "unknown"
             priors[Unknown.OFFSET] = Prior(self._sizes.residual_px, kind)
         is_height_given = priors[Unknown.HEIGHT].kind == "given"
-        priors |= {network.unknown: network.prior for network in self._networks.values()}
         bounds = [*self._speeds.bounds, *([] if is_height_given else [HIGHEST])]
         self.cameras = posterior(priors, evidence, bounds=bounds)
         if self._focal is not None:
             self._focal.update(priors, evidence, self.cameras, time_s)
-        for network in self._networks.values():
-            network.update(self.cameras)
+        self._update_networks(priors, evidence, bounds)
         self.rig_scale, self.road_scale = self._scales()
         self._evaluated = priors, evidence
         self._evidence_names = names = self._names(evidence)
@@ -369,6 +367,25 @@ class ScaleCheck:
             self._since_s = time_s
         elif before is not None and self.doubt is None:
             self._past_s.append((self._since_s, time_s))
+
+    def _update_networks(
+        self,
+        priors: Mapping[AnyUnknown, Prior],
+        evidence: Sequence[Evidence],
+        bounds: Sequence[Evidence],
+    ) -> None:
+        """Estimate the factors of networks beside the cameras, which they do not change: a network
+        is corrected by the others, and does not count as evidence of them.
+        """
+        networks = self._networks.values()
+        if not networks:
+            return
+        known: dict[AnyUnknown, Prior] = dict(priors)
+        known.update((network.unknown, network.prior) for network in networks)
+        of_networks = [item for network in networks for item in network.evidence]
+        cameras = posterior(known, [*evidence, *of_networks], bounds=bounds)
+        for network in networks:
+            network.update(cameras)
 
     @property
     def agreement(self) -> Agreement:
@@ -421,13 +438,7 @@ class ScaleCheck:
     def _names(self, evidence: Sequence[Evidence]) -> str:
         is_given = self.priors[Unknown.HEIGHT].kind == "given"
         height = f"{'the given' if is_given else 'a usual'} height of the camera"
-        names = [item.name for item in evidence if not _of_network(item)]
-        return _listed([*names, height])
-
-
-def _of_network(item: Evidence) -> bool:
-    """Whether evidence shows the factor of a network, and so nothing of the cameras."""
-    return any(isinstance(unknown, NetworkFactor) for unknown in item.of)
+        return _listed([*(item.name for item in evidence), height])
 
 
 def _too_large(of: Unknown, mean: float) -> float:

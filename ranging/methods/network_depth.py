@@ -4,9 +4,7 @@ The network measures in a background thread. Its distances are corrected by what
 its errors (`NetworkScale`).
 """
 
-import time
 from collections.abc import Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Protocol
 
 import numpy as np
@@ -17,6 +15,7 @@ from track_range.ranging.measurement.dense_map import DenseMap
 from track_range.ranging.measurement.dense_surfaces import box_surfaces
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.measurement.relative_depth import RelativeFit
+from track_range.ranging.methods.dense_ranger import DenseMapRanger
 from track_range.ranging.methods.method import (
     ErrorSource,
     Measured,
@@ -48,7 +47,7 @@ class DepthSource(OpenedNetwork, Protocol):
         """The depth of an image (H, W, 3) in BGR, of a camera with this focal length."""
 
 
-class NetworkDepthRanger(Ranger):
+class NetworkDepthRanger(DenseMapRanger):
     """Ranges each box by the depth of the surface at its centre."""
 
     def __init__(
@@ -61,22 +60,15 @@ class NetworkDepthRanger(Ranger):
         """Start a ranger of the method `name`; `errors` are measured ones of the network, None =
         those of any network.
         """
+        super().__init__(name)
         self._name, self._source, self._camera = name, network, camera
         self.network = network
         self._errors = errors or NetworkErrors()
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix=name)
         self._relative = RelativeFit()
-        self._pending: dict[int, tuple[Image, Future[DenseMap]]] = {}
 
-    def start(self, frame: Frame) -> None:
-        """Compute the depths of a frame in the background; `measure` waits for them."""
-        self._pending[frame.index] = frame.left, self._thread.submit(self._depths, frame.left)
-
-    def skip(self, frame: Frame) -> None:
-        """Drop the depths of a frame."""
-        pending = self._pending.pop(frame.index, None)
-        if pending is not None:
-            pending[1].cancel()
+    def map_of(self, frame: Frame) -> DenseMap:
+        """The depths of a frame, as the network gives them."""
+        return self._source.measure(frame.left, self._camera.fx_px)
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         """Distances of observed boxes, with the sigma of a network before any evidence."""
@@ -86,11 +78,9 @@ class NetworkDepthRanger(Ranger):
         self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale
     ) -> Measured:
         """Distances as the drive before this frame corrects them, and those of the network."""
-        pending = self._pending.get(frame.index)
-        if pending is None or pending[0] is not frame.left:
-            self.skip(frame)
-            self.start(frame)
-        depths = self._pending.pop(frame.index)[1].result()
+        depths = self.dense_map(frame)
+        if depths is None:
+            return Measured(Ranges.unmeasured(tracks.track_id))
         values, sigmas = box_surfaces(depths, tracks.xyxy_px)
         values = np.where(tracks.observed, values, np.nan)
         errors = self._errors
@@ -122,10 +112,6 @@ class NetworkDepthRanger(Ranger):
         self._relative.update(values, known_m, known_sigma_m, time_s)
         return Ranges(tracks.track_id, *self._relative.distances(values, sigmas))
 
-    def close(self) -> None:
-        """Drop pending frames and end the thread."""
-        self._thread.shutdown(wait=True, cancel_futures=True)
-
     @property
     def notes(self) -> tuple[str, ...]:
         """What a relative network is used for."""
@@ -136,12 +122,6 @@ class NetworkDepthRanger(Ranger):
             "calibrated by those of other methods, and fused only where these have none."
         )
         return (Note(sentence, "depth-network-relative", "ok", "methods"),)
-
-    def _depths(self, image: Image) -> DenseMap:
-        start_s = time.perf_counter()
-        depths = self._source.measure(image, self._camera.fx_px)
-        self.background_s += time.perf_counter() - start_s
-        return depths
 
 
 def _raw(tracks: Tracks, depths: DenseMap, values: FloatArray, sigmas: FloatArray) -> Ranges:
