@@ -10,7 +10,7 @@ g = 0; one that says nothing of distances has g' = -1, and one that saturates ha
 g is a linear interpolation between `_KNOTS`, by one of several hypotheses (`_SHAPES`): constant,
 bent, falling with the distance from a limit on, or any. They are weighed by their marginal
 likelihoods, so that there is no threshold between a network that is right and one that says
-nothing. The distance of an object is the posterior mean of log d, with a flat prior, given z: where
+nothing. The distance of an object is the posterior median of log d, with a flat prior, given z: where
 the network does not change with the distance, all distances are possible, and sigma is as wide.
 """
 
@@ -24,7 +24,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.special import logsumexp
+from scipy.special import logsumexp, ndtr
 
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.schemas.validation import Number, PositiveNumber
@@ -63,6 +63,7 @@ _N_ROUNDS, _CAUCHY_SIGMA = 4, 2.0  # of reweighting; scale of the weights in sig
 # weights of the sigmas before a drive, in tracks and in frames
 _N_TRACKS_BEFORE, _N_FRAMES_BEFORE = 4.0, 10.0
 _LEAST_SIGMA = 0.02  # of a track, and of a frame
+_LEVELS = ndtr([-2.0, -1.0, 0.0, 1.0, 2.0])
 _FLAT = 0.6  # fall of g at which a network says little of distances
 _USELESS = 1.0  # sigma of log d above which an object is not measured
 
@@ -210,14 +211,23 @@ class NetworkScale:
             chi2 = (y[:, None, None] - mean[None]) ** 2 / total
             log_p = logsumexp(log_weight[:, None] - 0.5 * (chi2 + np.log(total)), axis=1)
             p = np.exp(log_p - log_p.max(axis=1, keepdims=True))
-            p /= p.sum(axis=1, keepdims=True)
-            log_m = p @ _LOG_M
-            sigma = np.sqrt((p * (_LOG_M - log_m[:, None]) ** 2).sum(axis=1))
+            log_m, sigma = _median_and_sigma(p)
             sigma[sigma > _USELESS] = np.nan
             distance_m[rows] = np.where(np.isfinite(sigma), np.exp(log_m), np.nan)
             sigma_m[rows] = sigma * distance_m[rows]
             systematic_m[rows] = sigma_m[rows] * np.sqrt(lasting / (lasting + noise))
         return raw.with_distances(distance_m, sigma_m, systematic_m)
+
+
+def _median_and_sigma(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(N,) median of log d by densities (N, G) at the grid, and the sigma of which 1 and 2 hold as
+    much as those of a normal distribution.
+    """
+    below = np.cumsum(p, axis=1)
+    below = (below - 0.5 * p) / below[:, -1:]
+    quantiles = np.array([np.interp(_LEVELS, row, _LOG_M) for row in below])
+    low2, low1, median, high1, high2 = quantiles.T
+    return median, np.maximum(high1 - low1, (high2 - low2) / 2) / 2
 
 
 class LogFactor(NamedTuple):
