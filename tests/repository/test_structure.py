@@ -130,7 +130,7 @@ MOST_STATEMENTS = {
     # methods that need images or a pair, on labelled boxes, any fusion of methods, and differences of
     # methods with their noise (100), and networks corrected by their drives (25)
     # methods of networks by the names of files, and methods that only runs have which ask for them (50)
-    "ranging": 10_142,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 10_141,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
     # `check` (4)
