@@ -111,13 +111,14 @@ def evaluate_stereo(pairs: str | Path, **options: Any) -> dict[str, Any]:
         True
 
     Args:
-        pairs: folder in the layout of KITTI 2015, or of a drive with labels.
+        pairs: folder in the layout of KITTI 2015, of a drive with labels, or of single pairs.
         options: options of the command: `matchers=("patch", "sgbm")`, `align="leave-two-out"`,
-            `seed=0`.
+            `stereo_model=["network.onnx"]`, `truth=["objects.csv"]`, `seed=0`.
 
     Raises:
         UsageError: an option is unknown or invalid.
-        PairFileError, RigError, VideoError, LabelFileError: a file cannot be used.
+        PairFileError, RigError, VideoError, LabelFileError, ModelError, NetworkError: a file cannot
+            be used.
     """
     return _evaluate_stereo(StereoEvaluationSettings.of({"pairs": pairs, **options}))
 

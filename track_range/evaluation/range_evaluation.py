@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from track_range.ranging.evaluation.settings import RangeEvaluationSettings
 from track_range.ranging.registry import network_names, register_networks
 from track_range.ranging.truth.labelled_boxes import file_in
 from track_range.recording.recording import open_recording
+from track_range.recording.sources.files.image_names import named_images
 
 
 def evaluate_ranges(
@@ -72,8 +73,11 @@ class SequenceImages:
             align=self.align,
             has_checks=False,
         )
+        # labels count as the names of images do, frames of a recording from its first one
+        first = named_images(left).images[0][0] if left.is_dir() else 0
         with closing(recording):
-            yield OpenedSequence(str(left), recording.frames, recording.camera, recording.rig)
+            frames = (replace(frame, index=frame.index + first) for frame in recording.frames)
+            yield OpenedSequence(str(left), frames, recording.camera, recording.rig)
 
     def _images(self, place: Path, name: str, option: str) -> Path:
         inside = sorted(place.iterdir()) if place.is_dir() else []

@@ -187,6 +187,14 @@ def encoded_images(folders, tmp_path_factory):
     return images
 
 
+def test_images_are_those_of_the_numbers_in_their_names(folders, encoded_images, tmp_path):
+    (tmp_path / "seq").mkdir()
+    for image in (encoded_images / "seq").glob("*.png"):
+        (tmp_path / "seq" / f"{int(image.stem) + 1:06d}.png").write_bytes(image.read_bytes())
+    with pytest.raises(LabelledImageError, match="labelled frame 0, found none"):
+        evaluated(folders, [f"{__name__}:NUMBERS"], images=tmp_path)
+
+
 def test_depth_networks_beside_mono(folders, encoded_images, tmp_path):
     """Both are corrected by the sizes of the same boxes, so that a factor of 0.7 is no error."""
     exact = write_depth(tmp_path / "exact.onnx")
