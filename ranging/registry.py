@@ -55,6 +55,7 @@ METHODS = Registry(
         "expansion": "track_range.ranging.methods.expansion:EXPANSION",
         "depth": "track_range.ranging.methods.network_depth:DEPTH",
         "disparity": "track_range.ranging.methods.network_disparity:DISPARITY",
+        "recorded": "track_range.ranging.methods.recorded_depth:RECORDED",
     },
     RangingMethod,
     _check,

@@ -59,13 +59,20 @@ what depth networks have in common; own: errors that no other method shares.
 """
 
 Requirement = Literal[
-    "image", "rig", "right_image", "dense_disparity", "lane_lines", "camera_height"
+    "image",
+    "rig",
+    "right_image",
+    "dense_disparity",
+    "lane_lines",
+    "camera_height",
+    "recorded_depth",
 ]
 """Inputs that a method may require.
 
 image: pixels of the left image, not only boxes; rig: a calibrated stereo pair; right_image: a
 row-aligned stereo pair, calibrated or not; dense_disparity: dense stereo is enabled; lane_lines:
-lane detection is enabled; camera_height: the height of the camera above the road is given.
+lane detection is enabled; camera_height: the height of the camera above the road is given;
+recorded_depth: frames have depths that the camera recorded.
 """
 
 # names of the stages of a run before and after the methods, which are stages, too
@@ -219,6 +226,7 @@ class MethodContext:
             detector do.
         has_lane_lines: whether lane lines are detected.
         has_dense_disparity: whether dense stereo runs.
+        has_recorded_depth: whether frames have depths that the camera recorded.
         sgbm_options: parameters of dense stereo set by the user.
         runtime: threads and device for networks; None = the defaults.
         depth_models: ONNX files of depth networks, by the name of their method.
@@ -240,6 +248,7 @@ class MethodContext:
     has_visible_boxes: bool = False
     has_lane_lines: bool = False
     has_dense_disparity: bool = False
+    has_recorded_depth: bool = False
     sgbm_options: Mapping[str, Any] = field(default_factory=dict)
     runtime: Runtime | None = None
     depth_models: Mapping[str, Path] = field(default_factory=dict)
@@ -264,6 +273,7 @@ class MethodContext:
             "dense_disparity": self.has_dense_disparity,
             "lane_lines": self.has_lane_lines,
             "camera_height": self.camera_height_m is not None,
+            "recorded_depth": self.has_recorded_depth,
         }
         return frozenset(name for name, met in is_met.items() if met)
 

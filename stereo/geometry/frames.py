@@ -9,7 +9,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from track_range.foundation.arrays import Image
+from track_range.foundation.arrays import FloatArray32, Image
 from track_range.stereo.geometry.alignment import Alignment
 
 
@@ -54,6 +54,9 @@ class Frame:
     recorded: Image | None = None
     # correction of the disparities of these images, as known at their time; None = that of the rig
     alignment: Alignment | None = None
+    # (h, w) depth z in m that the camera recorded, NaN = unknown, of the whole left image, perhaps
+    # at another resolution; None = it recorded none
+    depth_m: FloatArray32 | None = None
 
     def __reduce__(self) -> tuple[type[Frame], tuple[object, ...]]:
         """Pickled with all of its right image."""

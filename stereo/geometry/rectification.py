@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, FloatArray32, Image
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import ImageView, grey
 from track_range.stereo.geometry.rig import RigError, StereoRig
@@ -59,6 +59,8 @@ class _UndistortedImages:
     recorded_size_px: tuple[int, int]  # (width, height) of the images of the video
     _view: _View | None  # None = images of the video
     is_turned = False  # whether the images of the video are turned by 180 degrees first
+    # shapes of the last depth image; (h, w) source of its pixels, and factor of their depths
+    _depth_map: tuple[object, npt.NDArray[np.int64], FloatArray32] | None = None
 
     def _turned(self, xy_px: FloatArray) -> FloatArray:
         """Points (N, 2) or boxes (N, 4) of the video turned by 180 degrees if its images are
@@ -89,6 +91,22 @@ class _UndistortedImages:
         `left_boxes`.
         """
         return self._turned(xyxy_px if self._view is None else self._view.recorded_boxes(xyxy_px))
+
+    def left_depth(self, depth_m: FloatArray32, size_px: tuple[int, int]) -> FloatArray32:
+        """Depth (h, w) of the whole recorded left image, NaN = unknown, as that of the undistorted
+        one of (width, height) `size_px`, along its axis; of the nearest pixel, since edges have no
+        depth between both sides.
+        """
+        if self.is_turned:
+            depth_m = np.ascontiguousarray(depth_m[::-1, ::-1])
+        if self._view is None:
+            return depth_m
+        key = depth_m.shape, size_px
+        if self._depth_map is None or self._depth_map[0] != key:
+            moved = _depth_map(self._view, depth_m.shape, size_px, self.recorded_size_px)
+            self._depth_map = key, *moved
+        _, pixel, factor = self._depth_map
+        return np.asarray(depth_m.ravel()[pixel] * factor, np.float32)
 
     def recorded_outlines(self, xyxy_px: FloatArray) -> FloatArray:
         """(N, 4 N_OUTLINE, 2) closed outlines of boxes (N, 4) of the undistorted images, in pixels
@@ -482,6 +500,30 @@ def _maps(view: _View, size_px: tuple[int, int]) -> Maps:
         view.camera.matrix, distortion, view.rotation, view.matrix[:, :3], size_px, cv2.CV_16SC2
     )
     return np.asarray(whole, np.int16), np.asarray(fraction, np.uint16)
+
+
+def _depth_map(
+    view: _View,
+    shape: tuple[int, ...],
+    size_px: tuple[int, int],
+    recorded_size_px: tuple[int, int],
+) -> tuple[npt.NDArray[np.int64], FloatArray32]:
+    """(h, w) flat index of the source of each pixel of a depth image of this view, and the factor
+    of its depth, z of the view over z of the recorded camera; NaN = not imaged.
+    """
+    h, w = shape
+    column, row = np.meshgrid(np.arange(w), np.arange(h))
+    x_px = (column.ravel() + 0.5) * size_px[0] / w - 0.5
+    y_px = (row.ravel() + 0.5) * size_px[1] / h - 0.5
+    xy_px = np.stack([x_px, y_px], axis=1)
+    source = (view.recorded_points(xy_px) + 0.5) * [w, h] / np.array(recorded_size_px) - 0.5
+    column, row = np.rint(np.nan_to_num(source, nan=-1.0)).astype(np.int64).T
+    homogeneous = np.column_stack([xy_px, np.ones(len(xy_px))])
+    rays = homogeneous @ np.linalg.inv(np.asarray(view.matrix)[:, :3]).T @ np.asarray(view.rotation)
+    is_shown = (column >= 0) & (column < w) & (row >= 0) & (row < h) & (rays[:, 2] > 0)
+    factor = np.where(is_shown, 1.0 / np.where(is_shown, rays[:, 2], 1.0), np.nan)
+    pixel = np.where(is_shown, row * w + column, 0)
+    return pixel.reshape(h, w), factor.reshape(h, w).astype(np.float32)
 
 
 def distortion_coefficients(camera: PinholeCamera) -> FloatArray:

@@ -265,3 +265,36 @@ def test_wrong_image_size() -> None:
         Rectifier(RIG).rectify(good, small)
     with pytest.raises(ValueError, match=r"image: .*320x240"):
         Undistorter(LEFT).undistort(small)
+
+
+def test_depth_of_a_wall_is_moved_as_the_image_and_measured_along_the_new_axis():
+    """A wall at 10 m before a distorted camera that rectification turns by 6 degrees."""
+    left = PinholeCamera(300.0, 300.0, 159.5, 119.5, 320, 240, distortion=(-0.2, 0.05, 0, 0, 0))
+    rig = StereoRig(left, left, motion((0.0, 0.2, 0.0), (-0.5, 0.0, 0.0)))
+    rectifier = Rectifier(rig)
+    depth = np.full((120, 160), 10.0, np.float32)  # half of the resolution of the images
+    depth[:, :40] = np.nan
+    moved = rectifier.left_depth(depth, rectifier.rig.left.size_px)
+    assert moved.shape == depth.shape
+    assert moved is not depth
+    rectified = rectifier.rig.left
+    for row, column in ((60, 80), (30, 100), (90, 120)):
+        x_px, y_px = 2 * column + 0.5, 2 * row + 0.5
+        z = moved[row, column]
+        seen = rectifier.recorded_points(np.array([[x_px, y_px]]))
+        ray = undistorted_ray(left, seen)
+        point = 10.0 * ray / ray[2]  # of the wall, in the recorded camera's frame
+        x, y = (
+            (x_px - rectified.cx_px) / rectified.fx_px,
+            (y_px - rectified.cy_px) / rectified.fy_px,
+        )
+        in_view = z * np.array([x, y, 1.0])
+        assert np.linalg.norm(in_view) == pytest.approx(np.linalg.norm(point), rel=2e-3)
+    assert np.isnan(moved[60, :20]).all()
+    again = rectifier.left_depth(2 * depth, rectified.size_px)
+    np.testing.assert_allclose(again, 2 * moved)
+
+
+def undistorted_ray(camera, xy_px):
+    xy = cv2.undistortPoints(xy_px.reshape(-1, 1, 2), camera.matrix, np.array(camera.distortion))
+    return np.append(xy[0, 0], 1.0)

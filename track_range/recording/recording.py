@@ -257,6 +257,7 @@ def open_recording(
             view=LensView(options.fov_deg, options.yaw_deg),
             lens=GivenLens(options.camera_model, options.lens_fov_deg),
         )
+        calibration = replace(calibration, has_depth=videos[0].depth is not None)
         aligner = None
         if pair is not None:
             aligner = _aligner(calibration, pair, options, is_packed=names[1] is None)
@@ -412,4 +413,7 @@ def _frames(
         for frame in frames:
             if frame.index >= due_index:
                 due_index = frame.index + every
+                if first.depth is not None:
+                    depth_m = first.depth.at(frame.time_s + first.first_time_s)
+                    frame = calibration.with_depth(frame, depth_m, first)
                 yield frame

@@ -266,6 +266,7 @@ def _method_context(
         and not settings.static_camera,
         road_plane=road_plane_of(settings, calibration),
         has_dense_disparity=settings.sgbm,
+        has_recorded_depth=calibration.has_depth,
         sgbm_options=settings.sgbm_options,
         runtime=Runtime(n_threads=settings.threads, device=settings.device),
         depth_models=settings.networks["depth"],

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, FloatArray32, Image
 from track_range.foundation.errors import Note
 from track_range.foundation.files.input_files import alternatives
 from track_range.recording.cameras.auto_alignment import PairAlignment
@@ -114,6 +114,7 @@ class RecordingCalibration:
     # other readings of the calibration or focal length
     alternatives: tuple[image_size.FocalAlternative, ...] = ()
     pixel_aspect: float = 1.0  # width / height of the recorded pixels, by the video
+    has_depth: bool = False  # whether the recording contains depth of the left images
 
     @property
     def focal_sigma(self) -> float:
@@ -319,6 +320,20 @@ class RecordingCalibration:
             utc_s=recorded.utc_s,
             recorded=recorded.images[0] if self.has_wide_lens else None,
         )
+
+    def with_depth(self, frame: Frame, depth_m: FloatArray32 | None, left: Video) -> Frame:
+        """A frame with the depth (h, w) in m that was recorded of its left image, of the video `left`;
+        None = there is none.
+        """
+        if depth_m is None:
+            return frame
+        width_px, height_px = self.sizes_px[0]
+        h, w = depth_m.shape
+        # of the images that are cropped to the same size
+        shown = depth_m[
+            : round(h * height_px / left.height_px), : round(w * width_px / left.width_px)
+        ]
+        return replace(frame, depth_m=self.rectifier.left_depth(shown, self.camera.size_px))
 
     def with_alignment(self, alignment: PairAlignment) -> RecordingCalibration:
         """A copy with the alignment of the pair; its right view and shift, if any, become part of

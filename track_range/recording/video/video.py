@@ -4,9 +4,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Protocol
 
-from track_range.foundation.arrays import Image
+from track_range.foundation.arrays import FloatArray32, Image
 from track_range.recording.video.frame import VideoFrame
 from track_range.recording.video.layouts import StereoLayout
 from track_range.recording.video.source_name import SourceName
@@ -23,6 +23,16 @@ class VideoPart:
     start_s: float  # time of its first frame, in seconds from the first frame of the recording
     duration_s: float  # length as the header states it; 0 = unknown
     utc: UtcStart | None  # UTC of its first frame; None = unknown
+
+
+class RecordedDepth(Protocol):
+    """Depth images beside those of a video."""
+
+    def at(self, time_s: float) -> FloatArray32 | None:
+        """(h, w) depth in metres of the image at a time of the video, NaN = unknown; it covers the
+        whole image. None = there is none. Times are passed in their order.
+        """
+        ...
 
 
 class Video(ABC):
@@ -49,6 +59,7 @@ class Video(ABC):
     stated_layout: StereoLayout | None = None
     camera: CameraInfo | None = None  # calibration that the source contains; None = none
     is_rectified = False  # whether the source states that its images are
+    depth: RecordedDepth | None = None  # depth of the same view that the source contains
     first_image: Image | None = None  # as long as it is needed
     # only the images up to this time after each keyframe are read, s, where keyframes follow each
     # other closely; set before reading, None = all images. Sources without keyframes read all.

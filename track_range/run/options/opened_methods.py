@@ -26,6 +26,7 @@ _LACKS: Mapping[Requirement, str] = {
     "dense_disparity": "dense stereo, found --no-sgbm",
     "lane_lines": "lane lines, found --lanes off, or a view that does not look along the drive",
     "camera_height": "the height of the camera (--camera-height-m), found none",
+    "recorded_depth": "a bag with depth of the images (RealSense, OAK, ZED), found none",
 }
 
 

@@ -4,7 +4,6 @@ file is in memory.
 
 import itertools
 import math
-import re
 from collections.abc import Generator
 
 import numpy as np
@@ -16,7 +15,9 @@ from track_range.recording.sources.bags import decoding
 from track_range.recording.sources.bags.bag import open_bag, topic_list
 from track_range.recording.sources.bags.bag_topic import BagTopic
 from track_range.recording.sources.bags.container import DamagedError, Topic
+from track_range.recording.sources.bags.depth_images import find_depth
 from track_range.recording.sources.bags.image_clock import ImageClock
+from track_range.recording.sources.bags.topics import N_FIRST, is_depth, stated_camera, words
 from track_range.recording.sources.files.file_state import FileState
 from track_range.recording.sources.files.video_file import ZED_SENTENCE
 from track_range.recording.video.frame import (
@@ -29,40 +30,18 @@ from track_range.recording.video.recorded_video import RecordedVideo
 from track_range.recording.video.utc import UtcStart
 from track_range.stereo.rig_formats.camera_info import CameraInfo, is_undistorted
 
-_N_FIRST = 30  # messages from which the frame rate is estimated
 _MAX_LATENCY_S = 5.0  # largest time, s, between the time stamp of an image and its recording
 # 1990; smaller times come from a simulation, or count since a computer was started
 _FIRST_PLAUSIBLE_S = 631_152_000.0
 # of images over the rate of the first ones, above which their times were set back; assumed
 _MAX_PACE = 1.02
 _UTC_UNCERTAINTY_S = 0.1  # largest delay, s, between exposure and time stamp; assumed
-# levels above an image topic in which its calibration is searched: /left/image_raw/compressed ->
-# /left
-_MAX_LEVELS = 3
 _ZED_ENCODING = "zed_sdk_encoded"  # of the images of .svo2 files
-# ends of the names of calibration topics
-_CALIBRATION_NAMES = ("camera_info", "calibration", "info/camera_info")
-"""The last pattern belongs to RealSense's recorder: /device_0/sensor_0/Infrared_1/image/data and
-.../info/camera_info."""
-
-
-# words in the names of topics: rectified images, others, and those of RealSense, ZED and OAK
-# cameras that are no images of the scene
+# words in the names of topics: rectified images, and others
 _RECTIFIED = {"rect", "rectified", "undistorted"}
 _RAW = {"raw", "unrectified", "distorted"}
-_DEPTH = {"depth", "disparity", "confidence"}
 # relative difference of the focal lengths of K and P from which it matters which one is meant
 _FOCAL_DIFFERENCE = 0.01
-
-
-def _words(topic: str) -> set[str]:
-    """The words in the name of a topic, in lower case: image_rectColor -> image, rect, color."""
-    return {word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", topic)}
-
-
-def _is_depth(topic: str) -> bool:
-    """Whether a topic has depth images by its name."""
-    return not _DEPTH.isdisjoint(_words(topic))
 
 
 class BagVideo(RecordedVideo):
@@ -105,12 +84,21 @@ class BagVideo(RecordedVideo):
         check_size(name, (self.width_px, self.height_px), VideoError)
         self.is_grey, self.first_image = is_neutral(first), first
         self.n_total = self._topic.n_messages
-        self.is_rectified = not _RECTIFIED.isdisjoint(_words(self._topic.name))
+        self.is_rectified = not _RECTIFIED.isdisjoint(words(self._topic.name))
         self.camera = self._calibration()
+        self.depth, notes = find_depth(
+            self._bag,
+            self._topic,
+            uses_recorded_times=bool(self._clock.fault),
+            fps=self.fps,
+        )
+        self._setup_notes += notes
         depth = [
             topic.name
             for topic in self._bag.topics.values()
-            if topic.type in decoding.IMAGE_TYPES and _is_depth(topic.name)
+            if topic.type in decoding.IMAGE_TYPES
+            and is_depth(topic.name)
+            and not any(topic.name in note for note in notes)
         ]
         if depth and self._topic.name not in depth:
             self._setup_notes.append(
@@ -204,7 +192,7 @@ class BagVideo(RecordedVideo):
         name = self.path.topic
         if name is None:
             images = [topic.name for topic in topics.values() if topic.type in decoding.IMAGE_TYPES]
-            images = [one for one in images if not _is_depth(one)]
+            images = [one for one in images if not is_depth(one)]
             if len(images) != 1:
                 raise VideoError(
                     f"{self.path}: expected --topics with the topics of the images, found {listed}."
@@ -229,7 +217,7 @@ class BagVideo(RecordedVideo):
         times_s: list[tuple[float, float]] = []
         problem = "no messages"
         for _, recorded_s, data in itertools.islice(
-            self._bag.messages(self._topic.name, 0.0), _N_FIRST
+            self._bag.messages(self._topic.name, 0.0), N_FIRST
         ):
             try:
                 stamp_s, message = decoder.message(data)
@@ -246,29 +234,14 @@ class BagVideo(RecordedVideo):
         """The first message of the calibration topic beside the images: /left/image_raw ->
         /left/camera_info.
         """
-        parts = self._topic.name.rstrip("/").split("/")
-        levels = ["/".join(parts[:-up]) for up in range(1, min(_MAX_LEVELS, len(parts)) + 1)]
-        for level, name in itertools.product(levels, _CALIBRATION_NAMES):
-            topic = self._bag.topics.get(f"{level}/{name}")
-            if (
-                topic is None
-                or topic.type not in decoding.CALIBRATION_TYPES
-                or not decoding.is_readable(topic)
-            ):
-                continue
-            for _, _, data in itertools.islice(self._bag.messages(topic.name, 0.0), _N_FIRST):
-                try:
-                    camera = decoding.camera_message(topic, data)
-                except DamagedError:
-                    continue
-                if camera.k[0, 0] > 0:  # an uncalibrated camera has K = 0
-                    self._setup_notes.append(
-                        f"Using calibration {topic.name} of {self.path.path}"
-                        f"{self._matrix_used(camera)}."
-                    )
-                    size_px = self.width_px, self.height_px
-                    return camera.of_images(size_px, f"{self.path.path} ({topic.name})")
-        return None
+        stated = stated_camera(self._bag, self._topic.name)
+        if stated is None:
+            return None
+        name, camera = stated
+        self._setup_notes.append(
+            f"Using calibration {name} of {self.path.path}{self._matrix_used(camera)}."
+        )
+        return camera.of_images((self.width_px, self.height_px), f"{self.path.path} ({name})")
 
     def _matrix_used(self, camera: CameraInfo) -> str:
         """The matrix that describes the images, as the end of a note, where the names of topics do
@@ -279,7 +252,7 @@ class BagVideo(RecordedVideo):
             return ""
         if self.is_rectified:
             return f": P, {rectified_px:.0f} px, since the images are rectified by their name"
-        if not _RAW.isdisjoint(_words(self._topic.name)):
+        if not _RAW.isdisjoint(words(self._topic.name)):
             return ""
         return (
             f": K and D, {focal_px:.0f} px, as of raw images; if they are rectified, give "
