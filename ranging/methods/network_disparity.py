@@ -81,7 +81,7 @@ def network_method(name: str) -> RangingMethod:
     return RangingMethod(
         name=name,
         title="stereo network" if name == _NAME else f"stereo network {name.partition('-')[2]}",
-        letter="P",  # further networks get another one
+        letter="N",  # further networks get another one
         colour="#c97b1d",
         create=create,
         needs=frozenset({"image", "rig", "right_image"}),

@@ -100,6 +100,8 @@ def test_further_networks_are_methods_of_their_own():
     assert further.letter != DISPARITY.letter
     assert further.title != DISPARITY.title
     assert further.has_rig_scale
+    letters = [method.letter for method in METHODS.usable.values()]
+    assert len(set(letters)) == len(letters)
     METHODS.registered.pop("disparity-hitnet")
 
 

@@ -79,6 +79,7 @@ MOST_STATEMENTS = {
     # the usual focal length by the diagonal, and calibrations named after a video (5)
     # without a bootstrap of its own (-8)
     # codes of notes (13), and the place of the front of a vehicle (17)
+    # surfaces of objects in dense maps, and their choice (103); recorded depth moved as the image (27)
     "stereo": 10_552,
     # a folder for measurements and one for truth, below the methods (10); unknowns, evidence, its
     # sources and the posterior of the cameras as types that others add to (145); scale and
@@ -130,6 +131,7 @@ MOST_STATEMENTS = {
     # methods that need images or a pair, on labelled boxes, any fusion of methods, and differences of
     # methods with their noise (100), and networks corrected by their drives (25)
     # methods of networks by the names of files, and methods that only runs have which ask for them (50)
+    # dense maps in threads and in metres, stereo networks, recorded depth (170)
     "ranging": 10_141,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
@@ -238,6 +240,7 @@ MOST_STATEMENTS = {
     # fields of view and models of lenses that the user knows (75), and files that count for a folder (15)
     # pixel formats of cameras as one table, also for bags (60), and times in nanoseconds (45)
     # values of more bits than a pixel format has (4)
+    # depth of RealSense, OAK and ZED in bags: encodings, units, alignment, times (203)
     "recording": 8_215,
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)
@@ -255,6 +258,7 @@ MOST_STATEMENTS = {
     # lines and zones that count and measure, their files and figures (265)
     # decelerations of zero, which are no reason (1)
     # columns of optional methods in the files of their runs (25)
+    # depth.tar (37)
     "results": 3_414,
     # imports of one file for each idea of the settings (45); the parts of a run report, each in a class
     # of its own with what it imports (205); the options of its recording (15); notes on packages
