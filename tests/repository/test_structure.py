@@ -27,6 +27,7 @@ MOST_STATEMENTS = {
     # of networks (25); classes from 1 or in the seventh column, and rows that are no pixels (20)
     # what a state of a pipeline has of networks and the far pass (7)
     # sessions of networks with any inputs (6)
+    # the files of the weights of a model (1)
     "detection": 8_512,
     # riders whose name changes (17)
     # a similarity by sums, given up early (21); the second class of a track in doubt (23)
@@ -181,6 +182,7 @@ MOST_STATEMENTS = {
     # clips from the first stage that changed: keys, boxes, rows and poses that are kept (345), and a
     # condition on the events of all clips with copies of their videos (165)
     # the lens of a camera, and values that conditions on events take (20)
+    # networks of a fleet with their settings and weights (26)
     "fleet": 3_801,  # what a lost worker counts as is a function that tests call (5)
     # contradictions name their options (9); one registry with priorities and notes (65)
     # one registry with priorities and notes (5); functions of packages guarded in one place (50);
@@ -303,6 +305,7 @@ MOST_STATEMENTS = {
     # names of fixed cameras (4)
     # the table of methods that are compared (29)
     # a warned contact without a supported time, and distances of unknown scale (8)
+    # marks of methods that are not fused (8)
     "views": 2_960,
     "track_range": 108,  # a module of errors and one of evaluations, each with its names for type checkers (18)
 }

@@ -40,7 +40,6 @@ from track_range.run.box_source import (
 )
 from track_range.run.build import SpeedInput, open_input, open_pipeline, warm_up
 from track_range.run.options.opened import DetectorOptions
-from track_range.run.options.paths import network_files
 from track_range.run.options.settings import RunSettings
 from track_range.run.progress import step_progress
 from track_range.run.ready_model import ready_model
@@ -85,8 +84,6 @@ def open_run(
         report(task)
         return step_progress(console, task)
 
-    # said before the recording is read
-    network_files((*settings.depth_model, *settings.stereo_model))
     # cars of one region show the focal length better than of any
     shapes = load_curves(settings.curves, "europe")
     start_s = time.perf_counter()

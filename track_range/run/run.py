@@ -32,6 +32,7 @@ from track_range.run.box_source import BoxSource, class_name
 from track_range.run.interrupts import defer_interrupts, ignore_interrupts
 from track_range.run.opening import open_run
 from track_range.run.options.opened import open_detector
+from track_range.run.options.paths import network_files
 from track_range.run.options.precedence import settings_from
 from track_range.run.options.python_keywords import options_and_objects
 from track_range.run.options.settings import RunSettings
@@ -189,6 +190,8 @@ class Run:
         if self._session is None:
             try:
                 output = self._output_of_folder()
+                # said before the recording is read
+                network_files((*self.settings.depth_model, *self.settings.stereo_model))
                 opened = open_run(
                     self.settings,
                     detector=self._detector,

@@ -181,7 +181,7 @@ def test_unusable_networks_of_a_pipeline_are_said_before_the_first_frame(network
         tr.Pipeline.mono(focal_px=200.0, depth_model=tmp_path / "none.onnx")
     with pytest.raises(UserError, match=r"stereo_model= .*depth_model="):
         tr.Pipeline.mono(focal_px=200.0, stereo_model=write_stereo(tmp_path / "stereo.onnx"))
-    with pytest.raises(UserError, match="depth network for depth_model, found a stereo network"):
+    with pytest.raises(UserError, match="depth network for depth_model=, found a stereo network"):
         tr.Pipeline.mono(focal_px=200.0, depth_model=write_stereo(tmp_path / "stereo.onnx"))
 
 

@@ -340,24 +340,25 @@ def _shared_files(settings: RunSettings) -> dict[str, list[Path]]:
     """Files of the settings that all clips share, of networks with those beside them; the other
     values are words.
     """
-    files: dict[str, list[Path]] = {}
-    for name in sorted(_SHARED_FILES):
-        value = getattr(settings, name)
-        if name == "detector" and value is not None:
-            model = find_model(value)
-            if model.origin != "catalogue" or model.entry is None:
-                files[name] = [model.path.absolute()]
-        elif name == "ignore":
-            if str(value).lower().endswith(MASK_SUFFIXES):
-                files[name] = [Path(value).absolute()]
-        elif name in NETWORKS:
-            if value:
-                files[name] = [path.absolute() for path in network_files(value)]
-        elif isinstance(value, Path) or (
-            value is not None and Path(value).suffix and math.isnan(number(value))
-        ):
-            files[name] = [Path(value).absolute()]
-    return files
+    listed = {name: _paths(name, getattr(settings, name)) for name in sorted(_SHARED_FILES)}
+    return {name: [path.absolute() for path in paths] for name, paths in listed.items() if paths}
+
+
+def _paths(name: str, value: Any) -> list[Path]:
+    """The files that the value of a setting names; of a model of the catalogue none."""
+    if name in NETWORKS:
+        return network_files(value)
+    if value is None:
+        return []
+    if name == "detector":
+        model = find_model(value)
+        is_of_catalogue = model.origin == "catalogue" and model.entry is not None
+        return [] if is_of_catalogue else [model.path]
+    if name == "ignore":
+        is_file = str(value).lower().endswith(MASK_SUFFIXES)
+    else:
+        is_file = isinstance(value, Path) or bool(Path(value).suffix and math.isnan(number(value)))
+    return [Path(value)] if is_file else []
 
 
 def named_options(plan: FleetPlan) -> dict[str, Any]:
