@@ -183,7 +183,7 @@ MOST_STATEMENTS = {
     # condition on the events of all clips with copies of their videos (165)
     # the lens of a camera, and values that conditions on events take (20)
     # networks of a fleet with their settings and weights (26)
-    "fleet": 3_801,  # what a lost worker counts as is a function that tests call (5)
+    "fleet": 3_800,  # what a lost worker counts as is a function that tests call (5)
     # contradictions name their options (9); one registry with priorities and notes (65)
     # one registry with priorities and notes (5); functions of packages guarded in one place (50);
     # the flow of long tracks, below the two estimators that follow corners (35)
