@@ -1,5 +1,6 @@
 """DepthNetwork and StereoNetwork: networks of ONNX files, from images to a DenseMap."""
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,10 @@ from track_range.detection.models.onnx_session import OnnxNetwork, Runtime
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image
 from track_range.ranging.measurement.dense_map import DenseMap, Quantity
 from track_range.ranging.networks.inputs import NetworkInputs
-from track_range.ranging.networks.network_format import MAX_SIDE_PX, NetworkError, Task
+from track_range.ranging.networks.network_format import MAX_SIDE_PX, NetworkError, NetworkFormat
 from track_range.ranging.networks.output_check import OutputCheck
 from track_range.ranging.networks.placement import Placement
-from track_range.ranging.networks.recognition import check_task, format_of
+from track_range.ranging.networks.recognition import format_of
 
 _MIN_MASK = 0.5  # of pixels with a depth
 # points for the shift of point maps, its steps, and the least depth in the unit of the points
@@ -23,15 +24,12 @@ _N_FITTED, _N_STEPS, _MIN_Z = 4096, 10, 1e-3
 class _Network:
     """A network with its format; `source` says where the format is from."""
 
-    def __init__(self, path: Path, runtime: Runtime | None, task: Task) -> None:
-        self.session = OnnxNetwork(path, runtime)
-        outputs = list(self.session.output_infos)
-        self.source, self.format = format_of(path, list(self.session.input_infos), outputs)
-        check_task(path, self.format, task)
-        self.inputs = NetworkInputs(self.session, self.format)
-        self._names = [one.name for one in outputs]
+    def __init__(self, session: OnnxNetwork, source: str, network: NetworkFormat) -> None:
+        self.session, self.source, self.format = session, source, network
+        self.inputs = NetworkInputs(session, network)
+        self._names = [one.name for one in session.output_infos]
         self._check_outputs()
-        self._check = OutputCheck(path, self.format.metric)
+        self._check = OutputCheck(session.path, network.metric)
 
     @property
     def path(self) -> Path:
@@ -78,6 +76,13 @@ class _Network:
                 f"several outputs; add `output: {self._names[0]}` or another one of {known} to its "
                 "MODEL.yaml."
             )
+
+    def inference_s(self, image_hw: tuple[int, int]) -> float:
+        """Seconds that the network takes for a grey image, or pair, of this size."""
+        image = np.full((*image_hw, 3), 128, np.uint8)
+        start_s = time.perf_counter()
+        self._run(dict.fromkeys(("image", "left", "right"), image), float(image_hw[1]))
+        return time.perf_counter() - start_s
 
     def _run(
         self, images: dict[str, Image], fx_px: float
@@ -202,11 +207,29 @@ def shift_along_z(points: FloatArray32, rays: FloatArray) -> np.float32:
     return np.float32(shift)
 
 
+def open_network(path: Path, runtime: Runtime | None = None) -> DepthNetwork | StereoNetwork:
+    """The depth or stereo network in an ONNX file; NetworkError or ModelError if it is none."""
+    session = OnnxNetwork(path, runtime)
+    source, network = format_of(path, session.input_infos, session.output_infos)
+    kind = DepthNetwork if network.task == "depth" else StereoNetwork
+    return kind(session, source, network)
+
+
 def open_depth_network(path: Path, runtime: Runtime | None = None) -> DepthNetwork:
     """The depth network in an ONNX file; NetworkError or ModelError if it is none."""
-    return DepthNetwork(path, runtime, "depth")
+    network = open_network(path, runtime)
+    if not isinstance(network, DepthNetwork):
+        raise NetworkError(
+            f"{path}: expected a depth network, found a stereo network; give it as --stereo-model."
+        )
+    return network
 
 
 def open_stereo_network(path: Path, runtime: Runtime | None = None) -> StereoNetwork:
     """The stereo network in an ONNX file; NetworkError or ModelError if it is none."""
-    return StereoNetwork(path, runtime, "stereo")
+    network = open_network(path, runtime)
+    if not isinstance(network, StereoNetwork):
+        raise NetworkError(
+            f"{path}: expected a stereo network, found a depth network; give it as --depth-model."
+        )
+    return network

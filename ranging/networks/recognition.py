@@ -8,7 +8,7 @@ from track_range.foundation.files.input_files import quoted, shortened
 from track_range.foundation.files.structured_text import read_yaml
 from track_range.foundation.schemas.validation import validated
 from track_range.ranging.networks.formats import FORMATS
-from track_range.ranging.networks.network_format import NetworkError, NetworkFormat, Task
+from track_range.ranging.networks.network_format import NetworkError, NetworkFormat
 
 _FORMAT = "format"  # key of MODEL.yaml that names the row it starts from
 _SEEN = 100  # characters of inputs and outputs in a message
@@ -83,14 +83,3 @@ def _of_settings(sidecar: Path, path: Path) -> tuple[str, NetworkFormat]:
     network = validated(NetworkFormat, {**start, **values}, sidecar, NetworkError)
     given = f"format {name}, from {sidecar.name}" if name else f"from {sidecar.name}"
     return given, network
-
-
-def check_task(path: Path, network: NetworkFormat, task: Task) -> None:
-    """NetworkError unless a network is for the task."""
-    if network.task == task:
-        return
-    options = {"depth": "--depth-model", "stereo": "--stereo-model"}
-    raise NetworkError(
-        f"{path}: expected a {task} network for {options[task]}, found a {network.task} network; "
-        f"give it as {options[network.task]}."
-    )

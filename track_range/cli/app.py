@@ -183,8 +183,13 @@ COMMANDS = {
         "track_range.cli.commands.doctor",
         "Print versions, codecs and folders of the installation, and test it.",
         "The test uses 1 s of simulated video. Include the output in bug reports. Exit status 1 = "
-        "a check failed.",
-        ("track-range doctor", "track-range doctor --json"),
+        "a check failed. With MODEL, prints the format, inputs, size and time of a depth network, stereo "
+        "network or detector instead.",
+        (
+            "track-range doctor",
+            "track-range doctor --json",
+            "track-range doctor depth.onnx --image frame.png --focal-px 1150",
+        ),
     ),
 }
 

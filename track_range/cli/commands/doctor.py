@@ -1,5 +1,5 @@
 """`track-range doctor`: versions, devices, codecs and folders of this installation, and a short run
-as a test.
+as a test; or what is understood of a network.
 """
 
 from __future__ import annotations
@@ -26,10 +26,12 @@ from track_range.cli.shared.console import console, print_line
 from track_range.cli.shared.parameters import command
 from track_range.detection.models.devices import Device
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.errors import UserError
+from track_range.foundation.errors import ConfigError, UsageError, UserError
+from track_range.foundation.files.images import read_image
 from track_range.foundation.installed import conflicts, installed_versions
 from track_range.foundation.processes import n_usable_cores
 from track_range.foundation.schemas.options import Options, option
+from track_range.foundation.schemas.validation import PositiveNumber
 
 if TYPE_CHECKING:  # the simulation takes long to import
     from track_range.simulation.drive import Drive
@@ -69,10 +71,39 @@ class DoctorError(UserError):
 class DoctorOptions(Options):
     """Options of `doctor`."""
 
+    model: Annotated[
+        Path | None,
+        option(
+            "ONNX file: print what is understood of this depth network, stereo network or detector, "
+            "its size and its time, in place of the installation.",
+            metavar="[MODEL]",
+            is_argument=True,
+        ),
+    ] = None
+    image: Annotated[
+        tuple[Path, ...],
+        option(
+            "Image for MODEL, whose values are printed; twice for a stereo network, left and right.",
+            metavar="FILE",
+            is_repeated=True,
+        ),
+    ] = ()
+    focal_px: Annotated[
+        PositiveNumber | None,
+        option("Focal length of the image in pixels (default: its width).", metavar="PX"),
+    ] = None
     json_format: Annotated[bool, option("Output as JSON, for scripts.", flag="--json")] = False
 
 
+_IMAGE_HW = 720, 1280  # of the size and time of a network without --image
+
+
 def _doctor(options: DoctorOptions) -> None:
+    if options.model is not None:
+        _print_model(options.model, options)
+        return
+    if options.image or options.focal_px is not None:
+        raise UsageError("--image and --focal-px: expected a MODEL, for which they are.")
     checks = {name: _outcome(check) for name, check in CHECKS.items()}
     failures = [f"{name}: {text}" for name, text in checks.items() if text != OK]
     groups = {**installation(), "checks": checks}
@@ -89,6 +120,22 @@ def _doctor(options: DoctorOptions) -> None:
         raise DoctorError(
             f"doctor: {len(failures)} of {len(checks)} checks failed: {'; '.join(failures)}"
         )
+
+
+def _print_model(path: Path, options: DoctorOptions) -> None:
+    from track_range.cli.commands.models.networks import model_rows
+
+    images = [read_image(file, ConfigError) for file in options.image]
+    image_hw = images[0].shape[:2] if images else _IMAGE_HW
+    rows = model_rows(path, (image_hw[0], image_hw[1]), images, options.focal_px)
+    if options.json_format:
+        values = {name: {"value": value, "source": source} for name, value, source in rows}
+        print_line(console, json.dumps({"ok": True, "model": values}, indent=2))
+        return
+    width = max(len(name) for name, _, _ in rows) + 2
+    texts = [f"{value} ({source})" if source else value for _, value, source in rows]
+    lines = [f"  {row[0]:<{width}}{text}" for row, text in zip(rows, texts, strict=True)]
+    print_line(console, str(path), *lines)
 
 
 def installation() -> dict[str, dict[str, str]]:

@@ -83,7 +83,7 @@ def _info(options: InfoOptions) -> None:
     rows: list[tuple[str, str, str]] = []
     if is_local:
         network = open_detector(model.path, detector)
-        rows = [*_rows_on_image(network, options.image, options.out), *_rows(network)]
+        rows = [*_rows_on_image(network, options.image, options.out), *detector_rows(network)]
     for row in chain(rows, _entry_rows(model)):
         table.add_row(*(Text(text) for text in row))
     console.print(table)
@@ -131,7 +131,8 @@ def _entry_rows(model: ModelLocation) -> Iterator[tuple[str, str, str]]:
         yield "file", file.url, file.checksum
 
 
-def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
+def detector_rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
+    """Rows (property, value, source) of a detector."""
     session, model = detector.session, detector.model
     yield from _layout_rows(detector)
     yield from _input_rows(detector)
