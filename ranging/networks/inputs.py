@@ -72,7 +72,7 @@ class NetworkInputs:
                 array = self._image_blob(name, str(content), placed)
             else:
                 array = self._extra(name, content, placement, fx_px)
-            blobs[name] = np.ascontiguousarray(array)
+            blobs[name] = np.asarray(array, order="C")  # a scalar stays one
         return blobs
 
     def _contents(self) -> dict[str, Any]:

@@ -7,11 +7,14 @@ from tests.support.networks.depth_networks import (
     DISPARITY_STEP,
     encoded,
     write_depth,
+    write_echo,
     write_stereo,
 )
 from track_range.ranging.networks.network import open_depth_network, open_stereo_network
 from track_range.ranging.networks.network_format import NetworkError
 
+# blue, green and red of each pixel, and what a network takes of it
+PIXEL = (10, 100, 200)
 DEPTHS = np.linspace(60.0, 5.0, 48).round(2)[:, None].repeat(64, axis=1)
 
 
@@ -91,3 +94,95 @@ def test_each_wrong_value_of_the_settings_is_one_sentence(tmp_path, line, words)
         open_depth_network(path)
     assert str(raised.value).endswith(".")
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("channel", "settings", "value"),
+    [
+        (0, "colours: rgb", PIXEL[2] / 255),
+        (0, "colours: bgr\ndivisor: 1", PIXEL[0]),
+        (1, "mean: [0.5, 0.25, 0.5]\nstd: [1, 0.1, 1]", (PIXEL[1] / 255 - 0.25) / 0.1),
+        (2, "mean: [0, 0, 0.01]", PIXEL[0] / 255 - 0.01),
+    ],
+)
+def test_a_network_takes_pixels_as_its_format_says(tmp_path, channel, settings, value):
+    text = f"task: depth\ngives: depth\nmetric: false\n{settings}"
+    path = write_echo(tmp_path / "echo.onnx", channel, shape=(12, 16), settings=text)
+    image = np.full((24, 32, 3), PIXEL, np.uint8)
+    dense = open_depth_network(path).measure(image, 100.0)
+    np.testing.assert_allclose(dense.values, np.float32(value), rtol=1e-5)
+
+
+@pytest.mark.parametrize(("channel", "value"), [(0, 40), (3, 90)])
+def test_a_pair_of_six_channels_is_left_then_right(tmp_path, channel, value):
+    text = "task: stereo\ngives: disparity\ndivisor: 1"
+    path = write_echo(tmp_path / "echo.onnx", channel, shape=(12, 16), n_channels=6, settings=text)
+    left, right = np.full((12, 16, 3), 40, np.uint8), np.full((12, 16, 3), 90, np.uint8)
+    np.testing.assert_allclose(open_stereo_network(path).measure(left, right).values, value)
+
+
+@pytest.mark.parametrize("fit", ["letterbox", "pad", "stretch"])
+def test_the_map_covers_the_image_with_any_placement(tmp_path, fit):
+    text = f"task: depth\ngives: depth\nmetric: false\ndivisor: 1\nfit: {fit}"
+    path = write_echo(tmp_path / "echo.onnx", 0, shape=(48, 48), settings=text)
+    image = np.zeros((24, 32, 3), np.uint8)
+    image[:, :16], image[:, 16:] = 50, 150
+    values = open_depth_network(path).measure(image, 100.0).values
+    half = values.shape[1] // 2
+    assert values.shape == {"letterbox": (36, 48), "pad": (24, 32), "stretch": (48, 48)}[fit]
+    np.testing.assert_allclose(values[:, : half - 2], 50, atol=1)
+    np.testing.assert_allclose(values[:, half + 2 :], 150, atol=1)
+
+
+def test_values_that_cannot_be_are_unknown(tmp_path):
+    network = open_depth_network(write_depth(tmp_path / "made.onnx"))
+    depths = DEPTHS.copy()
+    depths[:2], depths[2:4] = 0.05, np.nan
+    values = network.measure(encoded(depths), 700.0).values
+    assert np.isnan(values[:4]).all()
+    assert np.isfinite(values[4:]).all()
+
+
+def test_a_first_image_without_metres_is_an_error_and_a_later_one_a_note(tmp_path):
+    path = write_depth(tmp_path / "made.onnx", factor=1e-3)
+    with pytest.raises(NetworkError, match=r"expected depths from 0\.1 to 1000 m, found a median"):
+        open_depth_network(path).measure(encoded(DEPTHS), 700.0)
+    network = open_depth_network(write_depth(tmp_path / "good.onnx"))
+    network.measure(encoded(DEPTHS), 700.0)
+    assert network.notes == ()
+    network.measure(encoded(1e-3 * DEPTHS), 700.0)
+    assert "nothing usable in 1 of 2 images" in network.notes[0]
+
+
+def test_a_black_first_image_is_no_error(tmp_path):
+    network = open_depth_network(write_depth(tmp_path / "made.onnx"))
+    assert np.isnan(network.measure(np.zeros((48, 64, 3), np.uint8), 700.0).values).all()
+
+
+@pytest.mark.parametrize(
+    ("truly", "stated"), [("depth", "inverse_depth"), ("inverse_depth", "depth")]
+)
+def test_depths_in_the_place_of_inverse_depths_are_an_error(tmp_path, truly, stated):
+    path = write_depth(tmp_path / "made.onnx", gives=truly)
+    path.with_suffix(".yaml").write_text(
+        f"task: depth\ngives: {stated}\nmetric: false\ncolours: bgr\ndivisor: 1"
+    )
+    network = open_depth_network(path)
+    for _ in range(4):
+        network.measure(encoded(DEPTHS), 700.0)
+    with pytest.raises(NetworkError, match=f"set `gives: {truly}`"):
+        network.measure(encoded(DEPTHS), 700.0)
+
+
+def test_an_upright_image_settles_the_order(tmp_path):
+    network = open_depth_network(write_depth(tmp_path / "made.onnx"))
+    network.measure(encoded(DEPTHS), 700.0)
+    for _ in range(6):
+        network.measure(encoded(DEPTHS[::-1]), 700.0)
+
+
+def test_negative_disparities_are_an_error(tmp_path):
+    path = write_stereo(tmp_path / "made.onnx", factor=-1.0)
+    left = encoded(np.linspace(2.0, 60.0, 48)[:, None].repeat(64, axis=1), DISPARITY_STEP)
+    with pytest.raises(NetworkError, match="expected positive disparities"):
+        open_stereo_network(path).measure(left, left)

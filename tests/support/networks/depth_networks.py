@@ -63,6 +63,16 @@ def write_stereo(path, *, factor=1.0, offset=0.0, shape=(None, None), settings="
     return path
 
 
+def write_echo(path, channel, *, shape, n_channels=3, settings=""):
+    """Write a depth network whose output is one channel of what it takes; `shape` is that of its
+    input (height, width)."""
+    builder = _Builder()
+    image = builder.image("image", shape, n_channels)
+    builder.save(path, builder.channel(image, channel), "depth")
+    _write_settings(path, settings)
+    return path
+
+
 _RAW = "colours: bgr\ndivisor: 1\n"
 
 
@@ -76,9 +86,9 @@ class _Builder:
     def __init__(self):
         self.nodes, self.weights, self.inputs = [], [], []
 
-    def image(self, name, shape):
+    def image(self, name, shape, n_channels=3):
         sides = [side or f"{name}_{axis}" for axis, side in zip("hw", shape, strict=True)]
-        info = helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, 3, *sides])
+        info = helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, n_channels, *sides])
         self.inputs.append(info)
         return name
 
@@ -108,3 +118,37 @@ class _Builder:
         model = helper.make_model(graph, opset_imports=opset, ir_version=8)
         onnx.checker.check_model(model)
         path.write_bytes(model.SerializeToString())
+
+
+_NUMBERS = {
+    "uint8": TensorProto.UINT8,
+    "int64": TensorProto.INT64,
+    "float16": TensorProto.FLOAT16,
+    "float32": TensorProto.FLOAT,
+}
+
+
+def write_export(path, inputs, outputs):
+    """Write a network with the inputs and outputs of an export, and constant outputs.
+
+    Args:
+        inputs: "NAME TYPE SIDE..." of each, such as "image float32 1 3 height width".
+        outputs: array of each by name.
+    """
+    infos = []
+    for text in inputs:
+        name, kind, *sides = text.split()
+        shape = [int(side) if side.isdigit() else side for side in sides]
+        infos.append(helper.make_tensor_value_info(name, _NUMBERS[kind], shape))
+    arrays = {name: np.asarray(array, np.float32) for name, array in outputs.items()}
+    nodes = [helper.make_node("Identity", [f"{name}_value"], [name]) for name in arrays]
+    weights = [numpy_helper.from_array(array, f"{name}_value") for name, array in arrays.items()]
+    results = [
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, array.shape)
+        for name, array in arrays.items()
+    ]
+    graph = helper.make_graph(nodes, "export", infos, results, weights)
+    opset = [helper.make_opsetid("", 17)]
+    model = helper.make_model(graph, opset_imports=opset, ir_version=8)
+    path.write_bytes(model.SerializeToString())
+    return path

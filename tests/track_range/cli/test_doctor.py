@@ -6,9 +6,11 @@ import re
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
+from tests.support.networks.depth_networks import encoded, write_depth, write_stereo
 from track_range.cli.commands import doctor
 from track_range.detection.catalogue import lookup
 
@@ -149,3 +151,54 @@ def test_cache_not_yet_created(cli, monkeypatch, tmp_path):
     monkeypatch.setenv("TRACK_RANGE_CACHE", str(tmp_path / "cache"))
     _, text, _ = cli("doctor", "--json")
     assert "not created yet" in json.loads(text)["folders"]["model cache"]
+
+
+def test_a_depth_network_is_described(cli, tmp_path):
+    model = write_depth(tmp_path / "made.onnx", settings="multiple: 14\narea: 20000\nfocal_px: 300")
+    image = tmp_path / "image.png"
+    cv2.imwrite(str(image), encoded(np.linspace(40.0, 5.0, 90)[:, None].repeat(160, axis=1)))
+    arguments = ("doctor", model, "--image", image, "--focal-px", "150")
+    status, text, _ = cli(*arguments)
+    assert status == 0
+    for words in (
+        "depth network (from made.yaml)",
+        "182x112 for images of 160x90 (stretch",
+        "depth times f / 300",
+        "upper third",
+        "ms per image (on cpu)",
+    ):
+        assert words in text
+    model_as_json = json.loads(cli(*arguments, "--json")[1])["model"]
+    assert model_as_json["scale"]["value"] == "metric"
+    assert re.match(r"[\d.]+ \([\d.]+ to [\d.]+\) m", model_as_json["upper third"]["value"])
+
+
+def test_a_stereo_network_needs_two_images(cli, tmp_path):
+    image = tmp_path / "image.png"
+    cv2.imwrite(str(image), encoded(np.full((60, 80), 20.0), 1 / 256))
+    model = write_stereo(tmp_path / "made.onnx")
+    status, _, error = cli("doctor", model, "--image", image)
+    assert (status, "expected 2 for a stereo network, found 1" in error) == (1, True)
+    status, text, _ = cli("doctor", model, "--image", image, "--image", image)
+    assert (status, "lower third" in text, "20 (20 to 20) px" in text) == (0, True, True)
+
+
+def test_a_detector_is_described(cli):
+    status, text, _ = cli("doctor", lookup.find_model(lookup.DEFAULT_MODEL).path)
+    assert status == 0
+    for words in ("detector", "road classes", "letterbox"):
+        assert words in text
+
+
+def test_a_network_that_is_neither_is_an_error(cli, tmp_path):
+    model = write_depth(tmp_path / "made.onnx")
+    model.with_suffix(".yaml").unlink()
+    status, _, error = cli("doctor", model)
+    assert status == 1
+    for words in ("made.onnx", "write made.yaml with `format: depth-anything`", "no detector"):
+        assert words in error
+
+
+def test_an_image_needs_a_model(cli, tmp_path):
+    status, _, error = cli("doctor", "--image", tmp_path / "image.png")
+    assert (status, "expected a MODEL" in error) == (2, True)
