@@ -137,7 +137,7 @@ FORMATS: Mapping[str, KnownFormat] = {
             "stem_2x gwc_volume -> disp",
         ),
         None,
-        "half of a network; export it as one file (`make_onnx.py --single_onnx`)",
+        "half of a network; export it as one file (option single_onnx of make_onnx.py)",
     ),
     "s2m2": _row(
         *("S2M2", "input_left input_right -> output_disp output_occ output_conf"),

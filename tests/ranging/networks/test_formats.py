@@ -215,7 +215,7 @@ def test_pairs_of_common_names_need_their_format(tmp_path, name):
                 FORMATS["fast-foundation-stereo-parts"].names[0].partition(" -> ")[2].split(),
                 PADDED,
             ),
-            "--single_onnx",
+            "single_onnx",
         ),
     ],
 )
