@@ -53,7 +53,7 @@ class NetworkInputs:
 
     def placement(self, image_hw: tuple[int, int]) -> Placement:
         """Where an image of this size lies in the input."""
-        placement = Placement.of_image(self._format, image_hw, self.fixed_hw)
+        placement = Placement.within(self._format, image_hw, self.fixed_hw)
         if max(placement.input_hw) > MAX_SIDE_PX:
             raise NetworkError(
                 f"{self._path}: expected images of at most {MAX_SIDE_PX} pixels a side, got "
@@ -79,9 +79,9 @@ class NetworkInputs:
         """The content of each input by name."""
         names = list(self._infos)
         given = self._format.inputs or self._usual_contents(names)
-        found = {content for content in given if content in _WHOLE}
+        contents = {content for content in given if content in _WHOLE}
         wanted = [{"image"}] if self._format.task == "depth" else [{"left", "right"}, {"pair"}]
-        if len(given) != len(names) or found not in wanted:
+        if len(given) != len(names) or contents not in wanted:
             texts = ", ".join(f"{name} {info.shape}" for name, info in self._infos.items())
             raise NetworkError(
                 f"{self._path}: expected the inputs {' or '.join(map(_listed, wanted))}, found "

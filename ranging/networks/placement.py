@@ -30,7 +30,7 @@ class Placement:
     fit: Fit
 
     @classmethod
-    def of_image(
+    def within(
         cls,
         network: NetworkFormat,
         image_hw: tuple[int, int],

@@ -40,23 +40,23 @@ def format_of(
     seen = shortened(", ".join(f"{one.name} {one.shape}" for one in (*inputs, *outputs)), _SEEN)
     if fitting:
         lines = " or ".join(f"`format: {name}`" for name in fitting)
-        found = f"{seen}, as in {len(fitting)} formats; write {sidecar.name} with {lines}"
+        problem = f"{seen}, as in {len(fitting)} formats; write {sidecar.name} with {lines}"
     else:
-        found = f"{seen}; write {sidecar.name}, such as {EXAMPLE}"
+        problem = f"{seen}; write {sidecar.name}, such as {EXAMPLE}"
     raise NetworkError(
         f"{path}: expected names of inputs and outputs that tell what the network gives, found "
-        f"{found} (docs/how-to/networks.md)."
+        f"{problem} (docs/how-to/networks.md)."
     )
 
 
 def fitting_formats(inputs: Sequence[Any], outputs: Sequence[Any]) -> list[str]:
     """Names of the formats whose exports have inputs and outputs of these names."""
-    taken = {one.name: "x".join(map(str, one.shape[-2:])) for one in inputs}
+    sides_of = {one.name: "x".join(map(str, one.shape[-2:])) for one in inputs}
     given = {one.name for one in outputs}
 
     def fits(names: str) -> bool:
         wanted, _, results = names.partition(" -> ")
-        texts = [f"{name}[{sides}]" if "[" in names else name for name, sides in taken.items()]
+        texts = [f"{name}[{sides}]" if "[" in names else name for name, sides in sides_of.items()]
         return wanted.split() == texts and set(results.split()) == given
 
     return [name for name, row in FORMATS.items() if any(map(fits, row.names))]

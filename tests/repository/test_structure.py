@@ -164,6 +164,7 @@ MOST_STATEMENTS = {
     # the command of the plane of the road, and what a fixed camera prints (20)
     # a condition without a folder (4)
     # methods of labelled boxes compared, with the progress of their images (9)
+    # what is understood of a network (75)
     "cli": 2_658,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
