@@ -133,7 +133,7 @@ MOST_STATEMENTS = {
     # methods with their noise (100), and networks corrected by their drives (25)
     # methods of networks by the names of files, and methods that only runs have which ask for them (50)
     # dense maps in threads and in metres, stereo networks, recorded depth (170)
-    "ranging": 10_165,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 10_174,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
     # `check` (4)
@@ -165,7 +165,7 @@ MOST_STATEMENTS = {
     # a condition without a folder (4)
     # methods of labelled boxes compared, with the progress of their images (9)
     # what is understood of a network (75)
-    "cli": 2_658,
+    "cli": 2_755,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (143), several drives together, and intervals of rates (49)
