@@ -5,6 +5,7 @@ its errors (`NetworkScale`).
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -15,6 +16,7 @@ from track_range.ranging.measurement.dense_map import DenseMap
 from track_range.ranging.measurement.dense_surfaces import box_surfaces
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.measurement.relative_depth import RelativeFit
+from track_range.ranging.measurement.rig_scale import RigScale
 from track_range.ranging.methods.dense_ranger import DenseMapRanger
 from track_range.ranging.methods.method import (
     ErrorSource,
@@ -90,7 +92,10 @@ class NetworkDepthRanger(DenseMapRanger):
             errors = errors.model_copy(update={"drive_sigma": FREE_SIGMA})  # right up to a factor
         raw = _raw(tracks, depths, values, sigmas)
         before = NetworkScale(errors, errors.log_factor, errors.drive_sigma_before)
-        corrected = scale.network.get(self._name, before).corrected(raw, tracks.class_id)
+        drive = scale.network.get(self._name, before)
+        # of the pixels: the factor of the drive alone, since they have no class
+        self.dense = replace(depths, scale=RigScale(drive.log_factor))
+        corrected = drive.corrected(raw, tracks.class_id)
         return Measured(corrected, by_network=NetworkDistances(raw, errors, tracks.class_id))
 
     def _by_others(

@@ -4,7 +4,10 @@ A network's disparities have the rig's scale and its alignment, as those of any 
 wrong for two further reasons: what the pixels of a box show (`box_surfaces`), and errors that all
 pixels of an object share, since a network knows the shapes that it was trained on:
 
-    sigma_network = hypot(0.2 px of the map, 1 % of the disparity)
+    sigma_network = hypot(0.3 px of the map, 1 % of the disparity)
+
+as PSMNet (trained on KITTI 2015) shows on simulated pairs, seeds 0 to 6: 65 and 100 % of 49 boxes are
+within one and two sigma.
 """
 
 from typing import Protocol
@@ -22,7 +25,7 @@ from track_range.stereo.geometry.rig import StereoRig
 _NAME = "disparity"
 # standard deviation of an error that the pixels of an object share, px of the map and fraction of
 # the disparity
-_NETWORK_PX, _NETWORK_FRACTION = 0.2, 0.01
+_NETWORK_PX, _NETWORK_FRACTION = 0.3, 0.01
 
 
 class DisparitySource(Protocol):
@@ -89,8 +92,9 @@ def network_method(name: str) -> RangingMethod:
             ErrorSource("baseline", systematic=0.91),
             ErrorSource("own", independent=0.09),
         ),
-        # the images, the rig and its alignment are those of `stereo`: what remains is less than the
-        # errors that both share
+        # The images, the rig and its alignment are those of `stereo`. Without any error of the
+        # alignment, which both share, the errors of PSMNet and the patch matcher correlate by 0.56
+        # (52 simulated boxes), and are 1.9 and 0.55 %: together they are no better than `stereo`.
         fallback_for="stereo",
         is_optional=True,
     )

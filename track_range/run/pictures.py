@@ -24,15 +24,20 @@ def pictures(
     `Overlay`.
     """
     drawn: dict[str, tuple[Draw, tuple[int, int]]] = {}
-    rig, size_px = recording.calibrated_rig, recording.size_px
+    size_px = recording.size_px
     if settings.overlay:
         recorded = recording.calibration.recorded_view if settings.overlay_recorded else None
         width_px, height_px = size_px if recorded is None else recorded.recorded_size_px
-        height_px *= 2 if settings.overlay_disparity and rig is not None else 1
+        height_px *= 2 if settings.overlay_disparity and has_dense_maps(settings, recording) else 1
         drawn["overlay"] = overlay_picture(settings, recording, status), (width_px, height_px)
-    if settings.disparity and rig is not None:
+    if settings.disparity and has_dense_maps(settings, recording):
         drawn["disparity"] = DensePicture().draw, size_px
     return drawn
+
+
+def has_dense_maps(settings: RunSettings, recording: Recording) -> bool:
+    """Whether a method measures all pixels: of a calibrated pair, or by a network of one camera."""
+    return recording.calibrated_rig is not None or bool(settings.depth_model)
 
 
 def overlay_picture(settings: RunSettings, recording: Recording, status: Status) -> Draw:
@@ -48,7 +53,7 @@ def overlay_picture(settings: RunSettings, recording: Recording, status: Status)
         recorded=recorded,
         counted=_counted_places(settings, recording) if settings.static_camera else None,
     )
-    if settings.overlay_disparity and recording.calibrated_rig is not None:
+    if settings.overlay_disparity and has_dense_maps(settings, recording):
         return StackedPicture(overlay).draw
     return overlay.draw
 

@@ -74,7 +74,7 @@ class RunSession:
             opened.speed, stages.ego, self.rows, reader, settings.start_s
         )
         self._options = options.OptionsWithoutEffect(
-            settings, reader, stages.ranging, has_positions=opened.speed.track is not None
+            settings, reader, has_positions=opened.speed.track is not None
         )
         self._notes: list[str] | None = None  # of the finished run
 
@@ -121,6 +121,7 @@ class RunSession:
             labels.FrameNumbers(rows, recorded, self.opened.box_source.frames, truth, is_whole),
             self.findings,
             figures,
+            options.MissingDepths(self.settings, stages.ranging),
             *(
                 ()
                 if self.settings.static_camera

@@ -2,10 +2,14 @@
 distance, and depth.tar."""
 
 import json
+import tarfile
 
+import av
+import cv2
 import numpy as np
 import pytest
 
+from tests.support.networks.depth_networks import write_depth
 from tests.track_range.recording.depth_bags import ImageTopic, write_bag
 from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.simulation.drive import write_drive
@@ -48,7 +52,7 @@ def run(cli, tmp_path, drive):
     def run_bag(*arguments, name="out"):
         status, printed, errors = cli(
             *("run", "--mono", bag, "--detections", files.detections, "--truth", files.truth),
-            *("--no-overlay", "--out", tmp_path / name, *arguments),
+            *("--out", tmp_path / name, *(arguments or ("--no-overlay",))),
         )
         assert status == 0, errors
         summary = json.loads((tmp_path / name / "summary.json").read_text())
@@ -74,7 +78,33 @@ def test_recorded_depth_is_a_method_of_the_run(run):
 
 @pytest.mark.slow
 def test_it_can_be_shown_only_or_left_out(run):
-    rows, _, _ = run("--show-only", "recorded")
-    without, _, _ = run("--methods", "mono,ground,lane,expansion", name="without")
+    rows, _, _ = run("--show-only", "recorded", "--no-overlay")
+    without, _, _ = run("--methods", "mono,ground,lane,expansion", "--no-overlay", name="without")
     assert np.isfinite(rows["recorded_m"]).any()
     assert "recorded_m" not in without
+
+
+@pytest.mark.slow
+def test_depth_of_a_network_below_the_overlay_and_in_depth_tar(run, drive, tmp_path):
+    """One camera, a network that sees 20 m everywhere, and the recorded depth."""
+    write_depth(tmp_path / "net.onnx", constant=20.0)
+    status = run(
+        *("--depth-model", tmp_path / "net.onnx", "--write", "csv,depth"),
+        *("--overlay", "--overlay-disparity"),
+    )
+    assert "depth.tar has no depths" not in status[2]
+    with av.open(str(tmp_path / "out/overlay.mp4")) as film:
+        picture = next(film.decode(video=0)).to_ndarray(format="bgr24")
+    assert picture.shape == (376, 620, 3)
+    assert picture[250].std(axis=0).max() < 60  # one colour, but for boxes
+    with tarfile.open(tmp_path / "out/depth.tar") as tar:
+        names = tar.getnames()
+        counts = {name: tar.extractfile(name).read() for name in names[:2]}
+    assert names[:2] == ["depth/000000.png", "recorded/000000.png"]
+    of_network, of_camera = (
+        cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) / 256
+        for data in counts.values()
+    )
+    assert 10 < np.unique(of_network).item() < 40  # corrected by what the drive shows
+    assert np.median(of_camera[170]) == pytest.approx(np.median(of_camera[170:173]), rel=0.1)
+    assert 2 < np.median(of_camera[170]) < 12  # the road in front

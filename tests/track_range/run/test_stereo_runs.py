@@ -151,10 +151,11 @@ def test_disparity_video_with_options_from_a_file(small_drive, run, tmp_path):
 def test_depth_of_all_pixels_has_the_distances_of_the_boxes(small_drive, run, tmp_path):
     alignment = Alignment(offset_px=2.0, residual_px=0.1, source="a test")
     save_alignment(alignment, tmp_path / "align.yaml")
-    rows, _, _ = run(
+    rows, _, printed = run(
         *pair(small_drive),
         *("--align", tmp_path / "align.yaml", "--write", "csv,depth", "--no-overlay"),
     )
+    assert "no depths" not in printed
     with tarfile.open(tmp_path / "out/depth.tar") as tar:
         assert tar.getnames() == [f"sgbm/{index:06d}.png" for index in range(12)]
         files = [tar.extractfile(member).read() for member in tar]

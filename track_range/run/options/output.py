@@ -89,14 +89,14 @@ class OutputOptions(Options):
     disparity: Annotated[
         bool,
         _file_option(
-            "Video of the disparities of dense stereo, disparity.mp4.",
+            "Video of the depths of all pixels by dense stereo or a network, disparity.mp4.",
             flag="--disparity/--no-disparity",
         ),
     ] = False
     overlay_disparity: Annotated[
         bool,
         _file_option(
-            "Colour-coded disparities of dense stereo below each frame of the overlay.",
+            "Colour-coded depths of dense stereo or a network below each frame of the overlay.",
             flag="--overlay-disparity/--no-overlay-disparity",
             old_names=("overlay_side",),
         ),

@@ -69,6 +69,11 @@ class RunSettings(OutputOptions, PipelineOptions, TruthOptions, InputOptions):
         is_chosen = not self.methods or "sgbm" in (*self.methods, *self.show_only)
         return self.stereo is not None and self.sgbm and is_chosen
 
+    @property
+    def has_dense_maps(self) -> bool:
+        """Whether a method is requested that measures all pixels."""
+        return self.has_dense_stereo or bool(self.stereo_model or self.depth_model)
+
 
 NEEDS_PAIR = (
     "--stereo-model measures with two cameras: give a pair, or the network of one camera by "
@@ -161,9 +166,10 @@ _CONTRADICTIONS = (
     ),
     Contradiction(
         ("overlay_disparity", "stereo", "mono", "sgbm", "overlay"),
-        lambda run: run.overlay_disparity and not (run.has_dense_stereo and run.overlay),
-        "--overlay-disparity shows dense stereo below the overlay: it requires --stereo, and "
-        "cannot be combined with --no-sgbm or --no-overlay",
+        lambda run: run.overlay_disparity and not (run.has_dense_maps and run.overlay),
+        "--overlay-disparity shows dense stereo, or the depth of a network, below the overlay: it "
+        "requires --stereo or --depth-model, and cannot be combined with --no-overlay, or with "
+        "--no-sgbm without a network",
     ),
     Contradiction(
         ("overlay_recorded", "overlay", "overlay_disparity", "anonymize"),
@@ -175,8 +181,8 @@ _CONTRADICTIONS = (
     ),
     Contradiction(
         ("disparity", "stereo", "mono", "sgbm"),
-        lambda run: run.disparity and not run.has_dense_stereo,
-        "--disparity shows dense stereo: it requires --stereo, and cannot be combined with "
-        "--no-sgbm",
+        lambda run: run.disparity and not run.has_dense_maps,
+        "--disparity shows dense stereo, or the depth of a network: it requires --stereo or "
+        "--depth-model, and cannot be combined with --no-sgbm without a network",
     ),
 )

@@ -23,7 +23,6 @@ class OptionsWithoutEffect(Reports):
 
     settings: RunSettings
     recording: Recording
-    ranging: RangingStage
     has_positions: bool  # whether the recording has telemetry with positions
 
     def notes(self) -> Sequence[str]:
@@ -43,18 +42,13 @@ class OptionsWithoutEffect(Reports):
                 "--overlay-recorded: the calibration has no wide lens, so the overlay shows "
                 "the rectified images."
             )
-        if settings.disparity and recording.calibrated_rig is None:
+        has_maps = recording.calibrated_rig is not None or bool(settings.depth_model)
+        if settings.disparity and not has_maps:
             notes.append("There is no disparity.mp4: dense stereo requires a calibrated pair.")
-        if settings.overlay_disparity and recording.calibrated_rig is None:
+        if settings.overlay_disparity and not has_maps:
             notes.append(
                 "There are no disparities below the overlay: dense stereo requires a calibrated "
                 "pair."
-            )
-        if "depth" in settings.write and not self.ranging.has_depths:
-            notes.append(
-                "depth.tar has no depths: no method of this run measures all pixels; use a calibrated "
-                "pair with sgbm, --stereo-model, --depth-model with a metric network, or a recording "
-                "with depth images."
             )
         return notes
 
@@ -86,3 +80,21 @@ class OptionsWithoutEffect(Reports):
             verb = "is" if len(given) == 1 else "are"
             notes.append(f"{', '.join(given)} {verb} not used with --detections.")
         return notes
+
+
+@dataclass(frozen=True, slots=True)
+class MissingDepths(Reports):
+    """A file of depths without any, at the end of a run."""
+
+    settings: RunSettings
+    ranging: RangingStage
+
+    def notes(self) -> Sequence[str]:
+        """What would measure the depths of all pixels."""
+        if "depth" not in self.settings.write or self.ranging.has_depths:
+            return ()
+        return (
+            "depth.tar has no depths: no method of this run measures all pixels; use a calibrated "
+            "pair with sgbm, --stereo-model, --depth-model with a metric network, or a recording "
+            "with depth images.",
+        )
