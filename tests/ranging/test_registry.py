@@ -54,6 +54,11 @@ def test_built_in_methods_in_order_with_their_noise():
     )
 
 
+def test_built_in_methods_have_different_letters():
+    letters = [method.letter for method in registry.methods()]
+    assert len(set(letters)) == len(letters)
+
+
 def test_registered_is_limited_to_the_block():
     with registered_method(RADAR):
         assert names(registry.methods())[-1] == "radar"
