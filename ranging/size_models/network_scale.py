@@ -245,10 +245,7 @@ def network_scale(cells: NetworkCells, errors: NetworkErrors, *, by_size: bool) 
     """
     if not len(cells.ratio):
         return NetworkScale(errors, errors.log_factor)
-    n_more = np.maximum(cells.n_frames - 1.0, 0.0)
-    noise2 = cells.squares.sum() - (n_more * cells.noise_variance).sum()
-    before = _N_FRAMES_BEFORE * errors.noise_sigma**2
-    noise2 = max((before + noise2) / (_N_FRAMES_BEFORE + n_more.sum()), _LEAST_SIGMA**2)
+    noise2 = _noise_variance(cells, errors)
     _, of_track, counts = np.unique(cells.track_id, return_inverse=True, return_counts=True)
     known = cells.variance + noise2 / cells.n_frames
     track2, log_m = errors.track_sigma**2, cells.log_m
@@ -289,6 +286,25 @@ def network_scale(cells: NetworkCells, errors: NetworkErrors, *, by_size: bool) 
         span=(float(low), float(high)),
         curves=curves,
     )
+
+
+def _noise_variance(cells: NetworkCells, errors: NetworkErrors) -> float:
+    """Variance of the errors of a frame: the median of the cells, of which some have frames of an
+    object in front.
+    """
+    n_more = np.maximum(cells.n_frames - 1.0, 0.0)
+    order = np.argsort(cells.squares / np.maximum(n_more, 1.0))
+    n_below = np.cumsum(n_more[order])
+    if not n_below[-1]:
+        return errors.noise_sigma**2
+    middle = order[np.searchsorted(n_below, n_below[-1] / 2)]
+    n_middle = n_more[middle]
+    # the median of chi2 is less than its mean (Wilson and Hilferty)
+    variance = cells.squares[middle] / n_middle / (1.0 - 2.0 / (9.0 * n_middle)) ** 3
+    variance = max(variance - float(np.median(cells.noise_variance)), 0.0)
+    before = _N_FRAMES_BEFORE * errors.noise_sigma**2
+    noise2 = (before + n_below[-1] * variance) / (_N_FRAMES_BEFORE + n_below[-1])
+    return max(float(noise2), _LEAST_SIGMA**2)
 
 
 def _rows(log_m: FloatArray) -> FloatArray:
