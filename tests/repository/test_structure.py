@@ -128,7 +128,7 @@ MOST_STATEMENTS = {
     # depth and stereo networks in files of the user: formats, inputs and outputs (390); points, rays,
     # and outputs that cannot be (120)
     # depth networks as a method, with the factor and the shape of their errors in a drive, those of
-    # relative networks, and the measurement of them on labels (560)
+    # relative networks, and the measurement of them on labels (580)
     # methods that need images or a pair, on labelled boxes, any fusion of methods, and differences of
     # methods with their noise (100), and networks corrected by their drives (25)
     # methods of networks by the names of files, and methods that only runs have which ask for them (50)
