@@ -106,6 +106,8 @@ def test_toy_method_in_the_overlay(toy):
     )
     assert "W box width" in text_of(corner_lines(frame_result, 12)[1])
     assert colour_of_each(["toy_kf"]) == {"toy_kf": TOY.colour}
+    shown_only = replace(frame_result, shown_only=frozenset(["toy"]))
+    assert "W box width (not fused)" in text_of(corner_lines(shown_only, 12)[1])
 
 
 def test_toy_method_is_gone_without_its_registration(run_folder):

@@ -25,7 +25,7 @@ from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.measurement.focal_scale import FocalScale
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.measurement.rig_scale import RigScale
-from track_range.ranging.methods.method import Ranger
+from track_range.ranging.methods.method import Measured, Ranger
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -132,6 +132,30 @@ def test_distances_with_the_scale_of_the_rig_are_corrected_and_kept_for_the_evid
         CARS, frame(), None, Ego(motion=EgoMotion()), DriveScale(), StageClock()
     )
     assert alone.by_rig is None
+
+
+class Witness(FixedRanger):
+    """A method that always measures the same, and takes it as the scale of the drive."""
+
+    def measure_at_scale(self, tracks, frame, others, scale):
+        return Measured(self.fixed, ScaleEvidence(tracks.class_id, by_size=self.fixed))
+
+
+def test_methods_that_are_only_shown_are_corrected_and_show_nothing_to_the_others():
+    by_rig, by_size = ranges(20.0, 30.0), ranges(21.0, 31.0)
+    rangers = {"mono": Witness(by_size), "stereo": FixedRanger(by_rig)}
+    scale = DriveScale(rig=RigScale(math.log(2.0), 0.1))
+    frames = {}
+    for shown_only in (frozenset(), frozenset(rangers)):
+        stage = RangingStage(rangers, shown_only)
+        given = (CARS, frame(), None, Ego(motion=EgoMotion()), scale, StageClock())
+        frames[shown_only] = stage.measure(*given)
+    usual, shown = frames.values()
+    assert (usual.by_size, usual.by_rig, {*usual.to_fuse}) == (by_size, by_rig, {"mono", "stereo"})
+    assert (shown.by_size, shown.by_rig, {*shown.to_fuse}) == (None, None, set())
+    np.testing.assert_allclose(shown.ranges["stereo"].distance_m, [10.0, 15.0])
+    next_scale = DriveScale(rig=RigScale(math.log(4.0), 0.1))
+    np.testing.assert_allclose(shown.at_scale(next_scale).ranges["stereo"].distance_m, [5.0, 7.5])
 
 
 def test_widened_by_an_independent_error():

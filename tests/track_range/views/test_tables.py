@@ -257,3 +257,14 @@ def test_wide_grid_is_split_between_columns(width: int, n_parts: int) -> None:
     assert max(map(len, shown.splitlines())) <= width
     assert shown.count("method") == n_parts
     assert shown.count("Many") == 1
+
+
+def test_methods_that_are_only_shown_are_marked() -> None:
+    row = {"coverage": 1.0, "median_sigma_pct": 0.1}
+    methods = dict.fromkeys(("mono", "depth", "depth_kf", "depth-b"), row)
+    summary = {"methods": methods, "shown_only": ["depth"], "stages_ms": {"depth": 12.0}}
+    names = ["mono", "depth (not fused)", "depth_kf (not fused)", "depth-b"]
+    tables_of_run = [grid for grid in grids(summary) if grid.columns[0] == "method"]
+    assert [[one[0].text for one in grid.rows] for grid in tables_of_run] == [names] * 2
+    (times,) = [grid for grid in tables_of_run if "ms/frame" in grid.columns]
+    assert times.rows[1][-1].text == "12.00"
