@@ -225,6 +225,43 @@ def test_parts_of_networks_are_refused(tmp_path, inputs, outputs, words):
         open_network(path)
 
 
+@pytest.mark.parametrize(
+    "pixels",
+    [
+        "float32 1 1 3 height width",  # views of Depth Anything 3
+        "float16 1 3 60 80",
+        "float32 1 60 80 3",
+        "float32 3 60 80",
+    ],
+)
+def test_inputs_have_the_type_and_dimensions_of_the_file(tmp_path, pixels):
+    outputs = {"predicted_depth": ROWS[None], "predicted_confidence": SKY}
+    path = write_export(tmp_path / "net.onnx", [f"pixel_values {pixels}"], outputs)
+    path.with_suffix(".yaml").write_text("format: depth-anything-3\noutput: predicted_depth")
+    dense = open_network(path).measure(IMAGE, FOCAL_PX)
+    assert (dense.quantity, dense.is_metric) == ("depth", False)
+    np.testing.assert_allclose(dense.values, ROWS, rtol=1e-6)
+
+
+def test_several_outputs_need_a_name(tmp_path):
+    outputs = {"predicted_depth": ROWS[None], "predicted_confidence": SKY}
+    path = write_export(tmp_path / "net.onnx", ["pixels float32 1 3 60 80"], outputs)
+    path.with_suffix(".yaml").write_text("format: depth-anything-3")
+    with pytest.raises(NetworkError, match="add `output: predicted_depth` or another one of"):
+        open_network(path)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "words"),
+    [("float32 4 3 60 80", "expected an input"), ("float32 1 5 60 80", "3 channels of the input")],
+)
+def test_inputs_that_are_no_images_are_errors(tmp_path, pixels, words):
+    path = write_export(tmp_path / "net.onnx", [f"x {pixels}"], {"depth": ROWS[None]})
+    path.with_suffix(".yaml").write_text("format: zoedepth")
+    with pytest.raises(NetworkError, match=words):
+        open_network(path)
+
+
 def test_disparities_of_a_reduced_image_are_pixels_of_the_image(tmp_path):
     path = write_export(
         tmp_path / "net.onnx",
