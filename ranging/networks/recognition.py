@@ -1,5 +1,6 @@
 """The format of a network's file: its `MODEL.yaml`, else its names where only one format has them."""
 
+import difflib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,10 @@ from track_range.ranging.networks.network_format import NetworkError, NetworkFor
 
 _FORMAT = "format"  # key of MODEL.yaml that names the row it starts from
 _SEEN = 100  # characters of inputs and outputs in a message
-EXAMPLE = (
-    "`{task: depth, gives: depth, metric: true, colours: rgb, divisor: 255, "
-    "mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225], multiple: 14, area: 268324}`"
-)  # a filled-in MODEL.yaml in one line
+_INPUT = "colours: rgb, divisor: 255, mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225]"
+# a filled-in MODEL.yaml in one line, for one image and for a pair
+_DEPTH = f"`{{task: depth, gives: depth, metric: true, {_INPUT}, multiple: 14, area: 268324}}`"
+_STEREO = f"`{{task: stereo, gives: disparity, scale: 1, {_INPUT}, multiple: 32, fit: pad}}`"
 
 
 def settings_file(path: Path) -> Path:
@@ -42,7 +43,9 @@ def format_of(
         lines = " or ".join(f"`format: {name}`" for name in fitting)
         problem = f"{seen}, as in {len(fitting)} formats; write {sidecar.name} with {lines}"
     else:
-        problem = f"{seen}; write {sidecar.name}, such as {EXAMPLE}"
+        n_images = sum(len(one.shape) >= 4 for one in inputs)
+        example = _STEREO if n_images > 1 else _DEPTH
+        problem = f"{seen}; write {sidecar.name}, such as {example}"
     raise NetworkError(
         f"{path}: expected names of inputs and outputs that tell what the network gives, found "
         f"{problem} (docs/how-to/networks.md)."
@@ -74,11 +77,20 @@ def _of_settings(sidecar: Path, path: Path) -> tuple[str, NetworkFormat]:
     if not isinstance(values, dict):
         raise NetworkError(f"{sidecar}: expected keys with values, found {quoted(values)}.")
     name = values.pop(_FORMAT, None)
+    if name is None and not {"task", "gives"} <= values.keys():
+        raise NetworkError(
+            f"{sidecar}: expected `format: NAME`, or at least `task` and `gives`, such as {_DEPTH}, "
+            f"found {shortened(', '.join(map(str, values)), _SEEN) or 'no key'}."
+        )
     start: dict[str, Any] = {}
     if name is not None:
         if not isinstance(name, str) or name not in FORMATS:
-            known = ", ".join(key for key, row in FORMATS.items() if row.format)
-            raise NetworkError(f"{sidecar}: 'format': expected {known}, found {quoted(name)}.")
+            names = [key for key, row in FORMATS.items() if row.format]
+            near = difflib.get_close_matches(str(name), names, n=1)
+            known = f"; did you mean {near[0]}?" if near else f"; known are {', '.join(names)}."
+            raise NetworkError(
+                f"{sidecar}: 'format': expected the name of a format, found {quoted(name)}{known}"
+            )
         start = _usable(path, name).model_dump()
     network = validated(NetworkFormat, {**start, **values}, sidecar, NetworkError)
     given = f"format {name}, from {sidecar.name}" if name else f"from {sidecar.name}"

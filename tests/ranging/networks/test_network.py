@@ -8,6 +8,7 @@ from tests.support.networks.depth_networks import (
     encoded,
     write_depth,
     write_echo,
+    write_export,
     write_stereo,
 )
 from track_range.ranging.networks.network import open_depth_network, open_stereo_network
@@ -66,6 +67,23 @@ def test_a_network_of_unknown_names_asks_for_its_settings(tmp_path):
         open_depth_network(path)
 
 
+def test_the_example_of_an_unknown_network_is_for_its_inputs_and_can_be_used(tmp_path):
+    inputs = ["a float32 1 3 48 64", "b float32 1 3 48 64"]
+    path = write_export(tmp_path / "made.onnx", inputs, {"px": DEPTHS[None]})
+    with pytest.raises(NetworkError) as raised:
+        open_stereo_network(path)
+    path.with_suffix(".yaml").write_text(str(raised.value).split("`")[1])
+    left = encoded(DEPTHS)
+    np.testing.assert_allclose(open_stereo_network(path).measure(left, left).values, DEPTHS)
+
+
+def test_a_file_of_other_keys_names_what_is_missing(tmp_path):
+    path = write_depth(tmp_path / "made.onnx")
+    path.with_suffix(".yaml").write_text("family: RoadNet")
+    with pytest.raises(NetworkError, match=r"expected `format: NAME`, or .*found family"):
+        open_depth_network(path)
+
+
 def test_a_stereo_network_is_no_depth_network(tmp_path):
     with pytest.raises(NetworkError, match="give it as --stereo-model"):
         open_depth_network(write_stereo(tmp_path / "made.onnx"))
@@ -77,10 +95,12 @@ def test_a_stereo_network_is_no_depth_network(tmp_path):
         ("depth: 3", "'depth': this key is unknown"),
         ("gives: metres", "'gives': expected"),
         ("std: [1, 0, 1]", r"'std\.1': expected a number above 0, found 0"),
-        ("format: madas", "'format': expected depth-anything, .*found 'madas'"),
+        ("format: madas", "'format': .*found 'madas'; did you mean midas"),
         ("scale: 0", "expected a scale other than 0"),
         ("inputs: [right image]", r"'inputs\.0': expected image, left"),
         ("inputs: [image, 1]", "expected the inputs image, found 1"),
+        ("format: best", "'format': .*found 'best'; known are depth-anything,"),
+        ("task: [depth]", "'task': expected"),
         ("format: crestereo-second-pass", "expected a whole network, found the second pass"),
         ("output: disp", "'output': expected one of its outputs depth, found 'disp'"),
     ],
@@ -92,7 +112,7 @@ def test_each_wrong_value_of_the_settings_is_one_sentence(tmp_path, line, words)
     settings.write_text("\n".join([*kept, line]))
     with pytest.raises(NetworkError, match=words) as raised:
         open_depth_network(path)
-    assert str(raised.value).endswith(".")
+    assert str(raised.value)[-1] in ".?"
     assert "\n" not in str(raised.value)
 
 
