@@ -153,7 +153,7 @@ def test_entry_points(install, monkeypatch, tmp_path):
         "from track_range.ranging.methods.size_regression import MONO\n"
         "RADAR = replace(MONO, name='radar', letter='R')\n"
         "WORD = 'radar'\n"
-        "LATER = replace(MONO, name='sonar', letter='N', fallback_for='twice')\n"
+        "LATER = replace(MONO, name='sonar', letter='V', fallback_for='twice')\n"
         "TYPO = replace(MONO, name='lidar', letter='I', fallback_for='radio')\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
