@@ -16,6 +16,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.ranging.measurement.dense_map import DenseMap
+from track_range.ranging.measurement.dense_surfaces import box_surfaces
 from track_range.ranging.methods.dense_ranger import DisparityMapRanger
 from track_range.ranging.methods.method import ErrorSource, MethodContext, Ranger, RangingMethod
 from track_range.stereo.geometry.alignment import Alignment
@@ -61,10 +62,17 @@ class NetworkDisparityRanger(DisparityMapRanger):
 
     def surfaces(self, dense: DenseMap, xyxy_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See `DisparityMapRanger`; with the errors that the pixels of an object share."""
-        disparity_px, sigma_px = super().surfaces(dense, xyxy_px)
-        map_px = dense.image_hw[1] / dense.values.shape[1]
-        shared_px = np.hypot(_NETWORK_PX * map_px, _NETWORK_FRACTION * disparity_px)
-        return disparity_px, np.hypot(sigma_px, shared_px)
+        return network_surfaces(dense, xyxy_px)
+
+
+def network_surfaces(dense: DenseMap, xyxy_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Disparities of boxes (N, 4) in the map of a network, and their standard deviations with the
+    errors that the pixels of an object share, without that of the alignment, (N,) px each.
+    """
+    disparity_px, sigma_px = box_surfaces(dense, xyxy_px)
+    map_px = dense.image_hw[1] / dense.values.shape[1]
+    shared_px = np.hypot(_NETWORK_PX * map_px, _NETWORK_FRACTION * disparity_px)
+    return disparity_px, np.hypot(sigma_px, shared_px)
 
 
 def network_method(name: str) -> RangingMethod:

@@ -6,7 +6,7 @@ import numpy as np
 
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.ranging.measurement.dense_surfaces import box_surfaces
+from track_range.ranging.methods.network_disparity import network_surfaces
 from track_range.ranging.networks.network import open_stereo_network
 from track_range.stereo.geometry.frames import ImageView, whole_image
 from track_range.stereo.matching.patch_matches import ExpectedDisparity, Outcome, PatchMatches
@@ -32,7 +32,7 @@ class NetworkMatcher:
     ) -> PatchMatches:
         """See `BoxMatcher.match`; the outcome of boxes without a surface is NO_TEXTURE."""
         dense = self._network.measure(_colour(left), _colour(whole_image(right)))
-        disparity_px, sigma_px = box_surfaces(dense, xyxy_px)
+        disparity_px, sigma_px = network_surfaces(dense, xyxy_px)
         outcome = np.where(np.isnan(disparity_px), int(Outcome.NO_TEXTURE), int(Outcome.MATCHED))
         return PatchMatches.of(disparity_px, sigma_px, outcome)
 

@@ -181,7 +181,10 @@ class Recording:
             (utc.note(),) if utc is not None else (),
             () if self.aligner is None else self.aligner.notes,
         )
-        return tuple(note for notes in sources for note in notes if note)
+        # depth is that of the left images
+        others = {note for video in self.videos[1:] for note in video.depth_notes}
+        others -= set(self.videos[0].depth_notes)
+        return tuple(note for notes in sources for note in notes if note and note not in others)
 
     def close(self) -> None:
         """Close the videos."""

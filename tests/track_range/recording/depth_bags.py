@@ -22,6 +22,7 @@ class ImageTopic:
     frame_id: str = "camera"
     info: str = ""  # topic of its calibration; "" = none
     k: Sequence[float] = tuple(K)
+    offset_m: float = 0.0  # of the camera, in its projection matrix
     delay_ns: int = 0  # of its time stamps
     first: int = 0  # number of the first frame with an image
     info_fields: Mapping[str, Any] = field(default_factory=dict)
@@ -79,7 +80,7 @@ def _messages(store: Any, topic: ImageTopic, *, is_ros1: bool) -> list[tuple[int
             )
         messages.append((stamp_ns + 20_000_000, topic.name, kind, message))
         if topic.info:
-            matrices = ([0.0] * 5, topic.k, R, projection(list(topic.k), 0.0))
+            matrices = ([0.0] * 5, topic.k, R, projection(list(topic.k), topic.offset_m))
             region = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
             info = types["sensor_msgs/msg/CameraInfo"](
                 header, 48, 64, "plumb_bob", *map(np.array, matrices), 0, 0, region

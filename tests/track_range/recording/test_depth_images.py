@@ -218,6 +218,26 @@ def test_what_cannot_be_used_is_left_out_with_the_reason(tmp_path, refused, reas
     assert reason in note
 
 
+def test_depth_of_a_pair_is_that_of_its_left_camera(tmp_path):
+    left, right = (
+        colour(
+            f"/zed/{side}/image_rect",
+            info=f"/zed/{side}/camera_info",
+            frame_id=f"{side}_frame",
+            offset_m=offset_m,
+        )
+        for side, offset_m in (("left", 0.0), ("right", -0.12))
+    )
+    registered = depth("/zed/depth/depth_registered", frame_id="left_frame")
+    bag = write_bag(tmp_path / "a", [left, right, registered])
+    recording = open_recording(
+        BagTopic(bag, left.name), BagTopic(bag, right.name), align="off", has_checks=False
+    )
+    check(list(recording.frames))
+    assert any("`recorded`" in note for note in recording.notes)
+    assert not any("left out" in note for note in recording.notes)
+
+
 def test_aligned_depth_counts_beside_that_of_the_sensor(tmp_path):
     sensor = depth(
         "/camera/depth/image_rect_raw",

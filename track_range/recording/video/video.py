@@ -60,6 +60,7 @@ class Video(ABC):
     camera: CameraInfo | None = None  # calibration that the source contains; None = none
     is_rectified = False  # whether the source states that its images are
     depth: RecordedDepth | None = None  # depth of the same view that the source contains
+    depth_notes: tuple[str, ...] = ()  # those of `notes` about the depth that the source contains
     first_image: Image | None = None  # as long as it is needed
     # only the images up to this time after each keyframe are read, s, where keyframes follow each
     # other closely; set before reading, None = all images. Sources without keyframes read all.

@@ -87,23 +87,19 @@ class BagVideo(RecordedVideo):
         self.is_rectified = not _RECTIFIED.isdisjoint(words(self._topic.name))
         self.camera = self._calibration()
         self.depth, notes = find_depth(
-            self._bag,
-            self._topic,
-            uses_recorded_times=bool(self._clock.fault),
-            fps=self.fps,
+            self._bag, self._topic, uses_recorded_times=bool(self._clock.fault), fps=self.fps
         )
-        self._setup_notes += notes
-        depth = [
+        others = [
             topic.name
             for topic in self._bag.topics.values()
             if topic.type in decoding.IMAGE_TYPES
             and is_depth(topic.name)
             and not any(topic.name in note for note in notes)
         ]
-        if depth and self._topic.name not in depth:
-            self._setup_notes.append(
-                f"{name.path}: depth images ({', '.join(depth)}) are left out."
-            )
+        if others and self._topic.name not in others:
+            notes = (*notes, f"{name.path}: depth images ({', '.join(others)}) are left out.")
+        self.depth_notes = notes
+        self._setup_notes += notes
 
     @property
     def utc(self) -> UtcStart | None:
