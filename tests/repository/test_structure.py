@@ -133,7 +133,7 @@ MOST_STATEMENTS = {
     # methods with their noise (100), and networks corrected by their drives (25)
     # methods of networks by the names of files, and methods that only runs have which ask for them (50)
     # dense maps in threads and in metres, stereo networks, recorded depth (170)
-    "ranging": 10_197,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 10_200,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
     # `check` (4)
@@ -244,7 +244,7 @@ MOST_STATEMENTS = {
     # pixel formats of cameras as one table, also for bags (60), and times in nanoseconds (45)
     # values of more bits than a pixel format has (4)
     # depth of RealSense, OAK and ZED in bags: encodings, units, alignment, times (203)
-    "recording": 8_418,
+    "recording": 8_422,
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)
     # the shape of an estimate of a camera (20)
