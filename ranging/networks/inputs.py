@@ -10,7 +10,7 @@ from track_range.detection.models.onnx_session import OnnxNetwork
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.input_files import shortened
 from track_range.ranging.networks.network_format import MAX_SIDE_PX, NetworkError, NetworkFormat
-from track_range.ranging.networks.placement import Placement
+from track_range.ranging.networks.placement import InputPlacement
 
 _TYPES: dict[str, Any] = {
     "tensor(float)": np.float32,
@@ -51,9 +51,9 @@ class NetworkInputs:
             if content in _IMAGES
         }
 
-    def placement(self, image_hw: tuple[int, int]) -> Placement:
+    def placement(self, image_hw: tuple[int, int]) -> InputPlacement:
         """Where an image of this size lies in the input."""
-        placement = Placement.within(self._format, image_hw, self.fixed_hw)
+        placement = InputPlacement.within(self._format, image_hw, self.fixed_hw)
         if max(placement.input_hw) > MAX_SIDE_PX:
             raise NetworkError(
                 f"{self._path}: expected images of at most {MAX_SIDE_PX} pixels a side, got "
@@ -62,7 +62,7 @@ class NetworkInputs:
         return placement
 
     def blobs(
-        self, images: dict[str, Image], placement: Placement, fx_px: float
+        self, images: dict[str, Image], placement: InputPlacement, fx_px: float
     ) -> dict[str, npt.NDArray[Any]]:
         """All inputs by name, for images (H, W, 3), BGR, by content."""
         placed = {key: placement.placed(image) for key, image in images.items()}
@@ -169,7 +169,7 @@ class NetworkInputs:
         return ((scaled - mean) / std).transpose(2, 0, 1)
 
     def _extra(
-        self, name: str, content: object, placement: Placement, fx_px: float
+        self, name: str, content: object, placement: InputPlacement, fx_px: float
     ) -> npt.NDArray[Any]:
         """An input that is no image."""
         info = self._infos[name]

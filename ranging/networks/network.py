@@ -13,7 +13,7 @@ from track_range.ranging.measurement.dense_map import DenseMap, Quantity
 from track_range.ranging.networks.inputs import NetworkInputs
 from track_range.ranging.networks.network_format import MAX_SIDE_PX, NetworkError, NetworkFormat
 from track_range.ranging.networks.output_check import OutputCheck
-from track_range.ranging.networks.placement import Placement
+from track_range.ranging.networks.placement import InputPlacement
 from track_range.ranging.networks.recognition import format_of
 
 _MIN_MASK = 0.5  # of pixels with a depth
@@ -86,7 +86,7 @@ class _Network:
 
     def _run(
         self, images: dict[str, Image], fx_px: float
-    ) -> tuple[Placement, dict[str, npt.NDArray[Any]]]:
+    ) -> tuple[InputPlacement, dict[str, npt.NDArray[Any]]]:
         image_hw = next(iter(images.values())).shape[:2]
         placement = self.inputs.placement((image_hw[0], image_hw[1]))
         inputs = self.inputs.blobs(images, placement, fx_px)
@@ -115,7 +115,7 @@ class _Network:
         return np.where(np.isfinite(values), values, np.float32(np.nan))
 
     def _confidence(
-        self, outputs: dict[str, npt.NDArray[Any]], placement: Placement
+        self, outputs: dict[str, npt.NDArray[Any]], placement: InputPlacement
     ) -> FloatArray32 | None:
         if self.format.confidence is None:
             return None
@@ -149,7 +149,7 @@ class DepthNetwork(_Network):
         return DenseMap(values, quantity, placement.image_hw, self.format.metric, confidence)
 
     def _of_points(
-        self, outputs: dict[str, npt.NDArray[Any]], placement: Placement, fx_px: float
+        self, outputs: dict[str, npt.NDArray[Any]], placement: InputPlacement, fx_px: float
     ) -> FloatArray32:
         """(h, w) depth z of points x, y, z, in metres if the format has a factor."""
         points = self._channels(outputs, self.format.output)

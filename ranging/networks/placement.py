@@ -1,4 +1,4 @@
-"""Placement: where an image lies in a network's input, and its pixels back from the output.
+"""InputPlacement: where an image lies in a network's input, and its pixels back from the output.
 
 An image of (H, W) is resized to (h, w) and stands at the input's upper left corner, or at its centre with
 a letterbox. The output covers the whole input, at its resolution or at another one.
@@ -20,7 +20,7 @@ _GREY_BGR = (104.0, 116.0, 124.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Placement:
+class InputPlacement:
     """Scale and position of an image inside a network's input, all in pixels."""
 
     image_hw: tuple[int, int]
@@ -35,7 +35,7 @@ class Placement:
         network: NetworkFormat,
         image_hw: tuple[int, int],
         fixed_hw: tuple[int | None, int | None],
-    ) -> "Placement":
+    ) -> "InputPlacement":
         """The placement of an image in an input, whose sides are None where they vary."""
         input_hw = _input_hw(network, image_hw, fixed_hw)
         if network.fit == "stretch":
