@@ -438,8 +438,9 @@ def test_a_ranger_alone_gives_what_it_gives_in_the_pipeline_at_the_same_scale():
         evidence = []
         others = {}
         for name, ranger in alone.items():
-            others[name], seen = ranger.measure_at_scale(result.tracks, frame, dict(others), scale)
-            evidence.append(seen)
+            measured = ranger.measure_at_scale(result.tracks, frame, dict(others), scale)
+            others[name] = measured.ranges
+            evidence.append(measured.evidence)
             np.testing.assert_array_equal(others[name].distance_m, result.ranges[name].distance_m)
             np.testing.assert_array_equal(others[name].sigma_m, result.ranges[name].sigma_m)
         scale = scale.after(evidence, frame.time_s)

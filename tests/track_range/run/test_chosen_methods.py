@@ -165,6 +165,7 @@ def test_several_networks_have_the_names_of_their_files(mono_run, network):
         (("--methods", "mnoo"), 2, r"--methods: unknown ranging method 'mnoo': did you mean mono"),
         (("--show-only", "xyz"), 2, r"--show-only: unknown ranging method 'xyz': expected mono"),
         (("--methods", "stereo"), 1, r"stereo: expected two cameras \(--stereo LEFT RIGHT\)"),
+        (("--methods", "depth"), 1, r"depth: expected its network \(--depth-model"),
         (("--methods", "lane"), 1, r"lane: expected lane lines"),
         (("--methods", "mono", "--show-only", "mono"), 1, r"--show-only: .*left for the fused"),
         (("--methods", "tests.toys.toy_method:BOX"), 2, r"--methods: .*no attribute 'BOX'"),
@@ -181,7 +182,7 @@ def test_unusable_networks_of_a_pipeline_are_said_before_the_first_frame(network
         tr.Pipeline.mono(focal_px=200.0, depth_model=tmp_path / "none.onnx")
     with pytest.raises(UserError, match=r"stereo_model= .*depth_model="):
         tr.Pipeline.mono(focal_px=200.0, stereo_model=write_stereo(tmp_path / "stereo.onnx"))
-    with pytest.raises(UserError, match="depth network for depth_model=, found a stereo network"):
+    with pytest.raises(UserError, match="expected a depth network, found a stereo network"):
         tr.Pipeline.mono(focal_px=200.0, depth_model=write_stereo(tmp_path / "stereo.onnx"))
 
 

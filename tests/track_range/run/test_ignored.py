@@ -169,7 +169,5 @@ def test_polygons_are_no_files():
     }
     assert without_folders({"ignore": "a/mask.PNG"}) == {"ignore": "mask.PNG"}
     assert "ignore" not in _shared_files(settings)
-    assert (
-        _shared_files(settings.model_copy(update={"ignore": "a/mask.PNG"}))["ignore"]
-        == Path("a/mask.PNG").absolute()
-    )
+    with_mask = settings.model_copy(update={"ignore": "a/mask.PNG"})
+    assert _shared_files(with_mask)["ignore"] == [Path("a/mask.PNG").absolute()]

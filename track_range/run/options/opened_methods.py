@@ -1,6 +1,6 @@
 """The ranging methods of a run as its options choose them."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from track_range.ranging.methods.method import (
     Requirement,
 )
 from track_range.ranging.networks.network import open_depth_network, open_stereo_network
-from track_range.ranging.registry import create_rangers, methods, methods_of_run
+from track_range.ranging.registry import NETWORK_METHODS, create_rangers, methods, methods_of_run
 from track_range.run.options.methods import RunMethodOptions
 from track_range.run.options.opened import DetectorOptions, open_detector
 
@@ -41,7 +41,7 @@ def open_methods(options: RunMethodOptions, context: MethodContext) -> RangingSt
     asked_for = options.asked_for
     for method in listed:
         if method.name in asked_for:
-            _check_measurable(method, context)
+            _check_measurable(method, context, networks)
     with _named_detectors(options):
         rangers = create_rangers(context, listed)
     shown_only = {method.name for method in listed if not method.fuses}
@@ -87,7 +87,14 @@ def _is_detector(path: Path) -> bool:
     return True
 
 
-def _check_measurable(method: RangingMethod, context: MethodContext) -> None:
+def _check_measurable(
+    method: RangingMethod, context: MethodContext, networks: Collection[str]
+) -> None:
+    if method.name in NETWORK_METHODS and method.name not in networks:
+        raise MethodError(
+            f"ranging method {method.name}: expected its network (--depth-model or --stereo-model), "
+            f"found {', '.join(networks) or 'none'}; give the file, or leave the method out."
+        )
     for need in sorted(method.needs - context.available):
         raise MethodError(
             f"ranging method {method.name}: expected {_LACKS.get(need, need)}; give it, or leave the "
@@ -108,4 +115,4 @@ def fused_methods(ranging: RangingStage) -> list[RangingMethod]:
 def left_out(options: RunMethodOptions, ranging: RangingStage) -> Iterator[str]:
     """A sentence for each method that is asked for and does not measure in this run."""
     for name in sorted(options.asked_for - ranging.rangers.keys()):
-        yield f"The ranging method {name} does not measure in this run: it has not what it needs."
+        yield f"The ranging method {name} does not measure in this run: its input is missing."
