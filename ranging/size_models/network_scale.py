@@ -10,7 +10,7 @@ g = 0; one that says nothing of distances has g' = -1, and one that saturates ha
 g is a linear interpolation between `_KNOTS`, by one of several hypotheses (`_SHAPES`): constant,
 bent, falling with the distance from a limit on, or any. They are weighed by their marginal
 likelihoods, so that there is no threshold between a network that is right and one that says
-nothing. The distance of an object is the posterior median of log d, with a flat prior, given z: where
+nothing. The distance of an object is the posterior median of log d, with a flat prior up to 80 m, given z: where
 the network does not change with the distance, all distances are possible, and sigma is as wide.
 """
 
@@ -38,6 +38,8 @@ _N_CLASSES = len(SIZE_CLASSES)
 _CLASS_SIGMA = 0.06  # of the factors of classes, of any network
 _Sigma = Annotated[Number, Field(gt=0, le=3)]
 _LOG_M = np.linspace(math.log(1.0), math.log(300.0), 180)  # (G,) grid of the distance
+# (G,) log density of the distance before a measurement: road users farther than 80 m are rare
+_LOG_PRIOR = -0.5 * (np.maximum(_LOG_M - math.log(80.0), 0.0) / 0.5) ** 2
 
 
 class _Shape(NamedTuple):
@@ -210,6 +212,7 @@ class NetworkScale:
             total = variance[None] + (noise + lasting)[:, None, None]  # (R, S, G)
             chi2 = (y[:, None, None] - mean[None]) ** 2 / total
             log_p = logsumexp(log_weight[:, None] - 0.5 * (chi2 + np.log(total)), axis=1)
+            log_p += _LOG_PRIOR
             p = np.exp(log_p - log_p.max(axis=1, keepdims=True))
             log_m, sigma = _median_and_sigma(p)
             sigma[sigma > _USELESS] = np.nan
