@@ -9,7 +9,10 @@ import yaml
 
 from tests.support.networks.depth_networks import encoded, write_depth
 from tests.support.recordings.label_rows import CX_PX, CY_PX, F_PX, label_row
+from track_range.evaluation.network_errors import write_errors
+from track_range.ranging.fitting.network_fit import FittedNetwork
 from track_range.ranging.networks.network import open_depth_network
+from track_range.ranging.size_models.network_scale import NetworkErrors
 
 pytestmark = pytest.mark.slow
 
@@ -126,3 +129,13 @@ def test_relative_network_and_missing_labels_are_refused(drives, cli, tmp_path):
     assert "--labels" in complaint
     status, _, complaint = fit(cli, drives, relative, "--leave-out", "0009")
     assert "0009" in complaint
+
+
+def test_errors_of_a_file_that_needs_no_settings_keep_its_format(tmp_path):
+    network = open_depth_network(write_depth(tmp_path / "net.onnx", gives="inverse_depth"))
+    network.path.with_suffix(".yaml").unlink()
+    errors = NetworkErrors(factor=0.7, class_factors={"car": 1.1}, slope=0.9)
+    assert write_errors(network, FittedNetwork(errors, ())) == tmp_path / "net.yaml"
+    again = open_depth_network(network.path).format
+    assert again.errors == errors
+    assert again.model_copy(update={"errors": None}) == network.format
