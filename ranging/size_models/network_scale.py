@@ -67,7 +67,7 @@ _N_TRACKS_BEFORE, _N_FRAMES_BEFORE = 4.0, 10.0
 _LEAST_SIGMA = 0.02  # of a track, and of a frame
 _LEVELS = ndtr([-2.0, -1.0, 0.0, 1.0, 2.0])
 _FLAT = 0.6  # fall of g at which a network says little of distances
-_USELESS = 1.0  # sigma of log d above which an object is not measured
+_USELESS = 0.75  # sigma of log d above which an object is not measured
 
 
 class NetworkErrors(BaseModel):
