@@ -45,7 +45,14 @@ def as_frames(boxes: BoxSet, class_id: IntArray) -> Iterator[tuple[IntArray, Tra
 def ranges_in_frame(column: MethodColumn, tracks: Tracks, rows: IntArray) -> Ranges:
     """Ranges of the tracks of one frame, whose row indices are `rows`."""
     systematic_m = None if column.sigma_systematic_m is None else column.sigma_systematic_m[rows]
-    return Ranges(tracks.track_id, column.distance_m[rows], column.sigma_m[rows], systematic_m)
+    is_fallback = column.is_fallback is None or bool(column.is_fallback[rows].all())
+    return Ranges(
+        tracks.track_id,
+        column.distance_m[rows],
+        column.sigma_m[rows],
+        systematic_m,
+        is_fallback=is_fallback,
+    )
 
 
 class SequenceRangers:
@@ -105,6 +112,8 @@ def unmeasured(n: int) -> MethodColumn:
 def store(column: MethodColumn, rows: IntArray, ranges: Ranges) -> None:
     """Store the ranges of a frame in the column's rows."""
     column.distance_m[rows], column.sigma_m[rows] = ranges.distance_m, ranges.sigma_m
+    if column.is_fallback is not None:
+        column.is_fallback[rows] = ranges.is_fallback
     if column.sigma_systematic_m is not None and ranges.sigma_systematic_m is not None:
         column.sigma_systematic_m[rows] = ranges.sigma_systematic_m
 

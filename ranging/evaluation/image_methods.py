@@ -107,7 +107,10 @@ def image_columns(
     LabelledImageError: a sequence lacks images of labelled frames, or they have another size;
     MethodError: a chosen method cannot measure with these inputs.
     """
-    columns = {method.name: unmeasured(len(boxes)) for method in listed}
+    columns = {
+        method.name: replace(unmeasured(len(boxes)), is_fallback=np.ones(len(boxes), np.bool_))
+        for method in listed
+    }
     reads = {method.name: method.reads for method in listed}
     of_rig = [method.name for method in listed if method.has_rig_scale]
     n_frames, n_done = sum(1 for _ in frame_rows(boxes)), 0

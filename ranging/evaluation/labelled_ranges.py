@@ -107,8 +107,7 @@ def _names(settings: RangeEvaluationSettings, inputs: MethodInputs) -> tuple[str
     """
     names = tuple(_registered(name) for name in settings.methods if name)
     if names:
-        parts = {part for name in names for part in name.split("+")}
-        names = (*names, *(name for name in inputs.networks if name not in parts))
+        names = tuple(dict.fromkeys((*names, *inputs.networks)))
     check_methods((*names, *inputs.networks), inputs, settings.camera_height_m)
     return names or method_names(inputs, settings.camera_height_m)
 

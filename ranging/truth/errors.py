@@ -38,6 +38,8 @@ class MethodColumn:
     sigma_m: FloatArray  # (N,) standard deviation, NaN = not measured or unknown
     # (N,) systematic part of sigma_m, as in `Ranges`; None = unknown
     sigma_systematic_m: FloatArray | None = None
+    # (N,) whether fusion leaves them out where another method measured, as in `Ranges`; None = all
+    is_fallback: BoolArray | None = None
 
 
 def match_truth(frame: IntArray, xyxy_px: FloatArray, truth: Truth) -> IntArray:

@@ -208,6 +208,11 @@ def test_depth_networks_beside_mono(folders, encoded_images, tmp_path):
         assert cars[name]["median_relative_error_pct"] < 8
         assert cars[name]["within_2_sigma"] > 0.9
     assert cars["mono"] == evaluated(folders, ["mono"])["methods"]["mono"]["car"]
+    fused = evaluated(folders, ["mono", "mono+depth"], images=encoded_images, depth_model=[exact])
+    cars = {name: row["car"] for name, row in fused["methods"].items()}
+    assert list(cars) == ["mono", "mono+depth", "depth"]
+    assert cars["mono+depth"] != cars["mono"]
+    assert cars["mono+depth"]["median_sigma_pct"] < cars["mono"]["median_sigma_pct"]
     with pytest.raises(UsageError, match=r"depth: needs image; give images="):
         evaluated(folders, ["mono"], depth_model=[exact])
     assert "depth" not in evaluated(folders, [])["methods"]
