@@ -133,7 +133,7 @@ MOST_STATEMENTS = {
     # methods with their noise (100), and networks corrected by their drives (25)
     # methods of networks by the names of files, and methods that only runs have which ask for them (50)
     # dense maps in threads and in metres, stereo networks, recorded depth (170)
-    "ranging": 10_202,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 10_205,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
     # `check` (4)
