@@ -46,7 +46,7 @@ def _create(context: MethodContext) -> Ranger | None:
 RECORDED = RangingMethod(
     name="recorded",
     title="recorded depth",
-    letter="Z",
+    letter="C",
     colour="#2b6f6b",
     create=_create,
     needs=frozenset({"image", "recorded_depth"}),
