@@ -176,17 +176,17 @@ def _opened(
 def _with_images(
     frames: Iterator[tuple[IntArray, Tracks, Frame]], opened: OpenedSequence
 ) -> Iterator[tuple[IntArray, Tracks, Frame]]:
-    """The frames with their images, of which those without labels are passed over."""
+    """The frames with their images, without the images between them."""
     for rows, tracks, blank in frames:
         shown = next((frame for frame in opened.frames if frame.index >= blank.index), None)
         if shown is None or shown.index != blank.index:
             raise LabelledImageError(
                 f"{opened.source}: expected an image of the labelled frame {blank.index}, found none."
             )
-        found, expected = shown.left.shape[:2], blank.left.shape[:2]
-        if np.any(np.abs(np.divide(found, expected) - 1) > _MAX_SIZE_DIFFERENCE):
+        given_hw, label_hw = shown.left.shape[:2], blank.left.shape[:2]
+        if np.any(np.abs(np.divide(given_hw, label_hw) - 1) > _MAX_SIZE_DIFFERENCE):
             raise LabelledImageError(
                 f"{opened.source}: expected images of the labels, of about "
-                f"{expected[1]}x{expected[0]} px, found {found[1]}x{found[0]} px."
+                f"{label_hw[1]}x{label_hw[0]} px, found {given_hw[1]}x{given_hw[0]} px."
             )
         yield rows, tracks, replace(shown, time_s=blank.time_s)

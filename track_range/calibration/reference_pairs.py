@@ -125,8 +125,8 @@ def read_drive(
     rows = Alignment(row_offset_px=row_offset_px)
     recording, rectified = open_pair(_side(folder, LEFT), _side(folder, RIGHT), rig, align=rows)
     with closing(recording):
-        found = next((folder / name for name in LABELS if (folder / name).is_file()), None)
-        files = tuple(truth) or (() if found is None else (found,))
+        usual = next((folder / name for name in LABELS if (folder / name).is_file()), None)
+        files = tuple(truth) or (() if usual is None else (usual,))
         if not files:
             raise PairFileError(
                 f"{folder}: expected labels in {', '.join(LABELS[:-1])} or "
