@@ -34,6 +34,10 @@ WORKLOADS = {
         "errors of boxes and tracks on rendered drives and without images",
     ),
     "compare": ("gate", "ratios of the figures of two recordings"),
+    "crossings": (
+        "accuracy.tracking.crossings",
+        "identity switches of simulated people and cars that cross, without images",
+    ),
     "devices": (
         "speed.devices",
         "the network, runs and steps of a pipeline on each device",

@@ -20,6 +20,7 @@ from track_range.tracking.motion import BoxFilters, MotionNoise, cxcywh
 Classes = Literal["similar", "same", "any"]  # similar: confused by detectors
 # groups of a person and of the two-wheelers
 _RIDER_GROUPS = SAME_OBJECT_GROUP[[ROAD_CLASSES.index("person"), ROAD_CLASSES.index("bicycle")]]
+_MAY_BE_RIDER = np.isin(SAME_OBJECT_GROUP, _RIDER_GROUPS)  # by class
 # 1 - IoU above which a track and a detection are not candidates for each other
 _UNRELATED_COST = 0.95
 _GROWTH = 0.5  # standard deviation of the relative growth of a box, 1/s
@@ -156,7 +157,7 @@ def may_be_riders(track_class_id: IntArray, detected_class_id: IntArray) -> Bool
     motorcycle: detectors have either name for one rider, and change it.
     """
     track_group, group = SAME_OBJECT_GROUP[track_class_id], SAME_OBJECT_GROUP[detected_class_id]
-    is_either = np.isin(track_group, _RIDER_GROUPS)[:, None] & np.isin(group, _RIDER_GROUPS)
+    is_either = _MAY_BE_RIDER[track_class_id][:, None] & _MAY_BE_RIDER[detected_class_id]
     return np.asarray(is_either & (track_group[:, None] != group))
 
 

@@ -41,6 +41,7 @@ from track_range.tracking.association import (
     may_be_riders,
 )
 from track_range.tracking.camera_motion import CameraMotion
+from track_range.tracking.common_motion import CommonMotion
 from track_range.tracking.confidence_threshold import (
     ConfidenceThreshold,
     ConfidenceThresholdSettings,
@@ -106,7 +107,7 @@ class DeepSortSettings:
     # whether detected boxes in the output are drawn towards the motion filters
     is_smoothed: bool = False
     classes: Classes = "similar"  # which classes may be one object
-    # whether predictions move with the background, where there are images
+    # whether predictions move with the background, where there are images, or with all boxes
     is_camera_motion_compensated: bool = True
     noise: MotionNoise = field(default_factory=MotionNoise)  # noise of the motion filters
     # how the scale of the process noise is estimated
@@ -145,6 +146,7 @@ class DeepSortTracker:
         self._appearance_model = appearance_model
         motion = camera_motion or CameraMotion(flow=flow)
         self._camera_motion = motion if settings.is_camera_motion_compensated else None
+        self._common_motion = CommonMotion()  # in place of the camera's where there are no images
         self._activation_threshold = ConfidenceThreshold(settings.track_activation_threshold)
         self._noise_scale = ProcessNoiseScale(settings.process_noise)
         self._max_overlap_cost = 1 - np.array([settings.min_iou_low_confidence, settings.min_iou])
@@ -269,6 +271,23 @@ class DeepSortTracker:
             table.filters = motion.predict(
                 table.filters, dt_s, settings.noise, noise_scale=self._noise_scale.value
             )
+        if self._camera_motion is not None and image is None:
+            self._follow_common_motion(detections, time_s)
+
+    def _follow_common_motion(self, detections: Detections, time_s: float) -> None:
+        """Move all tracks by the shift that the boxes have in common, which is the camera's.
+
+        At low frame rates, boxes move too far to find their tracks before the association.
+        """
+        settings, table = self._settings, self._table
+        if self._step_s >= settings.min_distance_step_s or not self._common_motion.is_due():
+            return
+        rows = (table.history.last_s >= self._last_detected_s).nonzero()[0]
+        shift_px = self._common_motion.update(
+            table.filters.select(rows), table.class_id[rows], detections, time_s, settings.noise
+        )
+        if shift_px.any():
+            table.shift(shift_px)
 
     def _moved(self) -> FloatArray:
         """(M, 4) boxes of the last frame with boxes; tracked boxes that move by over 0.35 of their

@@ -158,3 +158,8 @@ class TrackTable:
         self.filters = motion.compensate_camera_motion(self.filters, now_from_before)
         boxes_px = self.history.xyxy_px
         boxes_px[...] = motion.transformed(boxes_px, now_from_before)
+
+    def shift(self, shift_px: FloatArray) -> None:
+        """Move filters and past boxes by (2,) pixels."""
+        self.filters.state[0, :, :2] += shift_px
+        self.history.xyxy_px[...] += np.tile(shift_px, 2)
