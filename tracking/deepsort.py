@@ -100,7 +100,9 @@ class DeepSortSettings:
     init_score_sum: float = 1.5  # minimum sum of their scores; not used with `n_init` = 1
     # longest time without any detection that counts as skipped frames, not misses
     max_skipped_s: float = 1.0
-    max_age_s: float = 4.0  # longest time without a detection before a track is deleted
+    # longest time without a detection before a track is deleted; in videos, the next limit mostly
+    # comes first (values of 2 to 8 s change HOTA by 0.01)
+    max_age_s: float = 4.0
     # largest standard deviation of a position, in heights of the box
     max_position_sigma: float = 2.0
     score_half_life_s: float = 0.2  # time in which the score of a predicted box halves
