@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from benchmarks.accuracy.tracking.crossings import counts_of
-from benchmarks.inputs.crossing_scenes import crossing_scene
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.tracking.common_motion import CommonMotion
@@ -124,19 +122,3 @@ def test_a_camera_that_stands_changes_nothing() -> None:
             [tracker.update(f, 0.1 * k, None).xyxy_px.tolist() for k, f in enumerate(frames)]
         )
     assert ids[0] == ids[1]
-
-
-def test_people_who_cross_keep_their_identities_while_the_camera_turns() -> None:
-    n_switches = {
-        is_compensated: sum(
-            counts_of(
-                crossing_scene(seed, noise=0.02, motion="turning", n=60),
-                DeepSortSettings(is_camera_motion_compensated=is_compensated),
-            )
-            .scores()
-            .idsw
-            for seed in range(3)
-        )
-        for is_compensated in (True, False)
-    }
-    assert n_switches[True] < 0.8 * n_switches[False]
