@@ -67,7 +67,7 @@ def crossing_scene(
         x_m, z_m = (start_m + rate_mps * time_s).T
         shift_px = np.zeros(2)
         if motion == "driving":
-            z_m = z_m + 6.0 - _SPEED_MPS * min(time_s, 1e9)
+            z_m = z_m + 6.0 - _SPEED_MPS * time_s
         if motion != "standing":
             angle = np.sin(2 * np.pi * np.array([0.25, 1.1]) * time_s + phase)
             shift_px = _FOCAL_PX * angle * [_YAW_RAD, _PITCH_RAD]
