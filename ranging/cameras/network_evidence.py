@@ -24,7 +24,6 @@ from track_range.ranging.size_models.size_model import SIZE_CLASSES
 
 # of references, relative: by size, and by the pair
 _MAX_SIZE_SIGMA, _MAX_RIG_SIGMA = 0.25, 0.15
-_MIN_TRACKS = 2
 _CLEAR = 1.5  # deviation of a factor from 1, in standard deviations, that is stated
 _SAYS_LITTLE = 0.5  # slope below which a network is said to tell little
 _IS_EVIDENCE = np.array([not name.startswith("traffic") for name in SIZE_CLASSES])
@@ -83,7 +82,7 @@ class NetworkEvidence:
     def evidence(self) -> list[Evidence]:
         """The factor of the network by all frames so far, over that of its references."""
         free = self._of_cells()
-        if free.n_tracks < _MIN_TRACKS:
+        if not free.n_tracks:
             return []
         of: Sum = {self.unknown: 1.0, Unknown.BASELINE if self._by_rig else Unknown.SIZES: -1.0}
         value = free.of_reference.mean - self._errors.log_factor
@@ -99,11 +98,8 @@ class NetworkEvidence:
         """Take the factor of the drive from the posterior of all evidence."""
         of: Sum = {self.unknown: 1.0}
         mean = cameras.correction(of)
-        free = self._of_cells()
-        if free.n_tracks < _MIN_TRACKS:
-            free = NetworkScale(self._errors)
         self.scale = replace(
-            free,
+            self._of_cells(),
             log_factor=mean + self._errors.log_factor,
             sigma=cameras.sigma_of(of, mean),
         )

@@ -375,17 +375,12 @@ class ScaleCheck:
         bounds: Sequence[Evidence],
     ) -> None:
         """Estimate the factors of networks beside the cameras, which they do not change: a network
-        is corrected by the others, and does not count as evidence of them.
+        is corrected by the others, and does not count as evidence of them. One by one, since
+        together their hypotheses would multiply.
         """
-        networks = self._networks.values()
-        if not networks:
-            return
-        known: dict[AnyUnknown, Prior] = dict(priors)
-        known.update((network.unknown, network.prior) for network in networks)
-        of_networks = [item for network in networks for item in network.evidence]
-        cameras = posterior(known, [*evidence, *of_networks], bounds=bounds)
-        for network in networks:
-            network.update(cameras)
+        for network in self._networks.values():
+            known: dict[AnyUnknown, Prior] = {**priors, network.unknown: network.prior}
+            network.update(posterior(known, [*evidence, *network.evidence], bounds=bounds))
 
     @property
     def agreement(self) -> Agreement:

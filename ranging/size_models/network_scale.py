@@ -51,21 +51,25 @@ class _Shape(NamedTuple):
     slope_sigma: float
     change_sigma: float
     saturates_m: float = math.inf  # distance above which the network gives this one
+    factor_sigma: float = 0.0  # least sigma of n: a constant has nothing to do with distances
 
 
 _SHAPES = (
     _Shape(0.6, 0.03, 0.02),  # a network that is right
     _Shape(0.2, 0.15, 0.1),  # one that compresses distances
     *(_Shape(0.02, 0.03, 0.06, limit_m) for limit_m in (20.0, 27.0, 36.0, 48.0, 64.0)),
-    _Shape(0.1, 0.5, 0.5),  # one that may say nothing
+    _Shape(0.1, 0.5, 0.5, factor_sigma=1.0),  # one that may say nothing
 )
 FREE_SIGMA = 3.0  # of n, whose prior is that of the cameras' posterior
 _TAIL_SIGMA = 0.22  # that unusual networks add to that of n before a drive
+# probability and sigma of the factors of unusual networks; sigma of what all references share
+_P_UNUSUAL, _UNUSUAL_SIGMA, _REFERENCE_SIGMA = 0.12, 0.7, 0.1
 _N_ROUNDS, _CAUCHY_SIGMA = 4, 2.0  # of reweighting; scale of the weights in sigmas
 # weights of the sigmas before a drive, in tracks and in frames
 _N_TRACKS_BEFORE, _N_FRAMES_BEFORE = 4.0, 10.0
 _LEAST_SIGMA = 0.02  # of a track, and of a frame
 _LEVELS = ndtr([-2.0, -1.0, 0.0, 1.0, 2.0])
+_LEAST_SPAN = 0.5  # of log d over which a slope is stated
 _FLAT = 0.6  # fall of g at which a network says little of distances
 _USELESS = 0.75  # sigma of log d above which an object is not measured
 
@@ -178,7 +182,9 @@ class NetworkScale:
         if self.curves is None:
             return LogFactor(1.0, math.sqrt(sum(s.probability * s.slope_sigma**2 for s in _SHAPES)))
         low, high = self.span
-        row = (_rows(np.array([high])) - _rows(np.array([low])))[0] / max(high - low, 0.1)
+        widen = max(_LEAST_SPAN - (high - low), 0.0) / 2
+        low, high = low - widen, high + widen
+        row = (_rows(np.array([high])) - _rows(np.array([low])))[0] / (high - low)
         values = self.curves.mean @ row
         mean = float(self.curves.weight @ values)
         variance = np.einsum("p,spq,q->s", row, self.curves.covariance, row) + (values - mean) ** 2
@@ -357,10 +363,27 @@ def _solved(
         chi2 = (residual**2 / variance).sum() + moved @ precision @ moved
         log_volume = np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(prior)[1]
         log_p.append(math.log(shape.probability) + 0.5 * (log_volume - chi2))
+        if len(cells.ratio):
+            middle = n_knots // 2
+            log_p[-1] += _log_likelihood(
+                errors, shape, mean[middle] - errors.log_factor, covariance[middle, middle]
+            )
         means.append(mean)
         covariances.append(covariance)
     weight = np.exp(np.array(log_p) - max(log_p))
     return _Curves(weight / weight.sum(), np.array(means), np.array(covariances))
+
+
+def _log_likelihood(errors: NetworkErrors, shape: _Shape, error: float, variance: float) -> float:
+    """Log density of an estimated factor (log over the usual one, with its variance) by a shape.
+
+    So the shape of a network that says nothing explains a factor far from 1 even before road users
+    at several distances show it.
+    """
+    usual = max(errors.drive_sigma, shape.factor_sigma)
+    sigmas2 = np.square([usual, max(usual, _UNUSUAL_SIGMA)]) + variance + _REFERENCE_SIGMA**2
+    log_p = -0.5 * (error**2 / sigmas2 + np.log(sigmas2))
+    return float(logsumexp(log_p, b=[1.0 - _P_UNUSUAL, _P_UNUSUAL]))
 
 
 def _with_own_classes(curves: _Curves, errors: NetworkErrors, class_variance: float) -> _Curves:

@@ -116,8 +116,43 @@ def test_several_networks_have_factors_of_their_own():
     assert codes == ["depth-network-corrected"] * 2 + ["depth-network-says-little"]
 
 
+def at(scale, network_m):
+    """Corrected distance of a car, and its relative sigma."""
+    raw = Ranges(np.zeros(1, np.int64), np.array([network_m]), np.array([0.02 * network_m]))
+    ranges = scale.corrected(raw, np.array([CAR]))
+    return float(ranges.distance_m[0]), float(ranges.sigma_m[0] / ranges.distance_m[0])
+
+
+def test_networks_do_not_move_each_other():
+    alone = checked({"depth-a": short}).network_scales["depth-a"]
+    beside = checked({"depth-a": short, "depth-b": lambda true_m, rng: 1.4 * true_m})
+    assert beside.network_scales["depth-a"].log_factor == pytest.approx(alone.log_factor, abs=1e-9)
+    assert beside.network_scales["depth-a"].sigma == pytest.approx(alone.sigma, abs=1e-9)
+
+
+@pytest.mark.parametrize("rig", [None, 1.0])
+@pytest.mark.parametrize("seed", [0, 1])  # a car at 25 m, at 22 m
+def test_one_road_user_that_contradicts_a_network_widens_sigma(rig, seed):
+    """It may be short, or say 8.5 m of every car."""
+    check = checked({"depth": lambda true_m, rng: 0 * true_m + 8.5}, rig=rig, n=1, seed=seed)
+    scale = check.network_scales["depth"]
+    assert scale.n_tracks == 1
+    assert scale.slope.sigma > 0.2
+    distance_m, sigma = at(scale, 8.5)
+    for true_m in (12.0, 25.0, 50.0):
+        assert math.isnan(sigma) or abs(math.log(distance_m / true_m)) < 2 * sigma
+
+
+def test_one_road_user_tells_the_factor_of_a_network():
+    for factor in (0.7, 1.0):
+        check = checked({"depth": lambda true_m, rng, factor=factor: factor * true_m}, n=1)
+        distance_m, sigma = at(check.network_scales["depth"], 25.0 * factor)
+        assert abs(distance_m / 25.0 - 1) < min(2 * sigma, 0.2)
+        assert sigma < (0.55 if factor == 0.7 else 0.3)
+
+
 def test_network_without_road_users_is_unchecked():
-    check = checked({"depth": short}, n=1)
+    check = checked({"depth": short}, n=0)
     scale = check.network_scales["depth"]
     assert scale.log_factor == 0.0
     assert scale.sigma > 0.25
