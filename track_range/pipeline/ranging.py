@@ -141,8 +141,12 @@ class RangingStage:
         evidence: list[ScaleEvidence] = []
         by_network = dict[str, NetworkDistances]()
         for name, ranger in self.rangers.items():
+            # what is only shown is read by others that are only shown
+            hidden = frozenset() if name in self.shown_only else self.shown_only
             others = {
-                other: ranges[other] for other in self._reads.get(name, ()) if other in ranges
+                other: ranges[other]
+                for other in self._reads.get(name, ())
+                if other in ranges and other not in hidden
             }
             with clock.stage(name):
                 try:

@@ -158,6 +158,28 @@ def test_methods_that_are_only_shown_are_corrected_and_show_nothing_to_the_other
     np.testing.assert_allclose(shown.at_scale(next_scale).ranges["stereo"].distance_m, [5.0, 7.5])
 
 
+class Reader(FixedRanger):
+    """A method that always measures the same, and keeps what it read."""
+
+    def measure_at_scale(self, tracks, frame, others, scale):
+        self.read = {*others}
+        return Measured(self.fixed)
+
+
+@pytest.mark.parametrize(
+    ("shown_only", "read"),
+    [((), {"mono", "stereo"}), (("stereo",), {"mono"}), (("depth", "stereo"), {"mono", "stereo"})],
+)
+def test_fused_methods_do_not_read_those_that_are_only_shown(shown_only, read):
+    by_size = ranges(21.0, 31.0)
+    rangers = {"mono": FixedRanger(by_size), "stereo": FixedRanger(by_size)}
+    rangers["depth"] = Reader(by_size)
+    reads = {"depth": ("stereo", "mono")}
+    stage = RangingStage(rangers, frozenset(shown_only), reads)
+    stage.measure(CARS, frame(), None, Ego(motion=EgoMotion()), DriveScale(), StageClock())
+    assert rangers["depth"].read == read
+
+
 def test_widened_by_an_independent_error():
     plain = ranges(20.0, np.nan, sigma=0.03)
     wide = plain.widened(0.04)
