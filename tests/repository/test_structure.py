@@ -135,7 +135,7 @@ MOST_STATEMENTS = {
     # methods of networks by the names of files, and methods that only runs have which ask for them (50)
     # dense maps in threads and in metres, stereo networks, recorded depth (170)
     # networks that one road user contradicts (10)
-    "ranging": 10_205,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 10_208,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
     # `check` (4)
@@ -225,7 +225,7 @@ MOST_STATEMENTS = {
     # a camera that stands still (17)
     # methods that are only shown (15)
     # fused methods do not read those that are only shown (1)
-    "pipeline": 1_224,
+    "pipeline": 1_225,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120),
