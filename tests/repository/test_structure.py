@@ -224,7 +224,7 @@ MOST_STATEMENTS = {
     # whether the border cuts a box, as a part of its approach (1)
     # a camera that stands still (17)
     # methods that are only shown (15)
-    # fused methods do not read those that are only shown (1)
+    # fused methods do not read those that are only shown (3)
     "pipeline": 1_225,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);

@@ -141,13 +141,7 @@ class RangingStage:
         evidence: list[ScaleEvidence] = []
         by_network = dict[str, NetworkDistances]()
         for name, ranger in self.rangers.items():
-            # what is only shown is read by others that are only shown
-            hidden = frozenset() if name in self.shown_only else self.shown_only
-            others = {
-                other: ranges[other]
-                for other in self._reads.get(name, ())
-                if other in ranges and other not in hidden
-            }
+            others = self._read_by(name, ranges)
             with clock.stage(name):
                 try:
                     self._update(ranger, ego, lanes)
@@ -177,6 +171,12 @@ class RangingStage:
             by_network,
             self.shown_only,
         )
+
+    def _read_by(self, name: str, ranges: Mapping[str, Ranges]) -> dict[str, Ranges]:
+        """The distances that a method reads: what is only shown is for others that are only shown."""
+        hidden = frozenset() if name in self.shown_only else self.shown_only
+        read = [other for other in self._reads.get(name, ()) if other not in hidden]
+        return {other: ranges[other] for other in read if other in ranges}
 
     def _update(self, ranger: Ranger, ego: Ego, lanes: LaneLines | None) -> None:
         """Tell a method what the image shows of the road, the motion of the camera and the lane."""
