@@ -225,7 +225,7 @@ MOST_STATEMENTS = {
     # a camera that stands still (17)
     # methods that are only shown (15)
     # fused methods do not read those that are only shown (3)
-    "pipeline": 1_225,
+    "pipeline": 1_228,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120),
