@@ -174,9 +174,9 @@ def register_networks(names: Iterable[str]) -> None:
 
 def _distinct(method: RangingMethod) -> RangingMethod:
     """The method with a letter that no other one has, of its name if possible, and another colour."""
-    taken = {other.letter for other in methods()}
+    used = {other.letter for other in methods()}
     wanted = (*method.name.partition("-")[2].upper(), *_LETTERS)
-    letter = next((one for one in wanted if one in _LETTERS and one not in taken), None)
+    letter = next((one for one in wanted if one in _LETTERS and one not in used), None)
     if letter is None:
         raise MethodError(
             f"{method.name}: all letters are in use; give fewer networks to this run."

@@ -130,13 +130,13 @@ class NetworkEvidence:
         limit = ""
         if math.isfinite(scale.reach_m):
             limit = f" Beyond {scale.reach_m:.0f} m, its distances hardly change: wide sigmas."
-        found = f"{factor:.2f} ± {factor * scale.sigma:.2f} times those {self._reference}"
+        ratio = f"{factor:.2f} ± {factor * scale.sigma:.2f} times those {self._reference}"
         if abs(scale.log_factor) > _CLEAR * scale.sigma:
             sentence = (
-                f"The distances of the depth network {self.name} are {found}: corrected.{limit}"
+                f"The distances of the depth network {self.name} are {ratio}: corrected.{limit}"
             )
             return (Note(sentence, "depth-network-corrected", "ok", "methods"),)
-        sentence = f"The distances of the depth network {self.name} agree: {found}.{limit}"
+        sentence = f"The distances of the depth network {self.name} agree: {ratio}.{limit}"
         return (Note(sentence, "depth-network-agrees", "ok", "methods"),)
 
     def summary(self) -> dict[str, Any]:

@@ -40,7 +40,7 @@ class FittedSequence:
     n_boxes: int
     scale: NetworkScale
     # of its boxes with the errors that the other sequences show: median relative error after the
-    # correction of their mean factor, and shares of the errors within 1 and 2 sigma; NaN = none
+    # correction of their mean factor, and fractions of the errors within 1 and 2 sigma; NaN = none
     left_out_error: float
     within: tuple[float, float]
 
@@ -104,8 +104,8 @@ def _errors(drives: Sequence[NetworkScale], source: str = "") -> NetworkErrors:
     # a further drive deviates from the mean of these, which is not that of all
     drive2 = spread2 * (1 + 1 / n)
     classes = [scale.class_factors for scale in drives]
-    means = np.array([of_class[0] for of_class in classes])  # (D, C)
-    variances = np.array([of_class[1] for of_class in classes])
+    means = np.array([factors[0] for factors in classes])  # (D, C)
+    variances = np.array([factors[1] for factors in classes])
     information = (1 / variances).sum(axis=0)
     by_class = (means / variances).sum(axis=0) / information
     is_seen = variances.min(axis=0) < 0.9 * _VAGUE.class_sigma**2

@@ -5,7 +5,7 @@ methods' distances.
                                            e_i: relative error of both, with variance r^2 + sigma_i^2
 
 s and t are the least-squares solution of all objects of the last seconds, with Cauchy weights,
-since networks of this kind choose both anew in every image. The spread of the residuals beyond the
+since networks of this kind choose other ones in every image. The spread of the residuals beyond the
 reference's errors is r, the network's own error.
 """
 

@@ -15,9 +15,12 @@ _MIN_CONTRAST = 5.0  # standard deviation of the grey levels of an image that sh
 # from the band at half of their height, in the spread of all values (80 %)
 _N_REVERSED, _MIN_DIFFERENCE = 5, 0.3
 
+_TINY = float(np.finfo(np.float32).tiny)
+
 
 class OutputCheck:
-    """Removes values that cannot be: not positive, or depths in metres outside of 0.1 to 1000.
+    """Removes values that cannot be: not positive, or depths in metres outside of 0.1 to 1000, and
+    all values of an image in whose lower half, where the road is, most of them cannot be.
 
     A first image without any other value is an error, and so are five first images in which the
     depth rises towards the lower border, where the road is nearest: the format is then wrong.
@@ -46,15 +49,18 @@ class OutputCheck:
     def see(self, image: Image, values: FloatArray32, quantity: Quantity) -> None:
         """Set values that cannot be to NaN; NetworkError if the format is wrong."""
         self._n_images += 1
-        median = float(np.nanmedian(values)) if np.isfinite(values).any() else float("nan")
         low, high = self._limits(quantity)
         with np.errstate(invalid="ignore"):
-            values[~((values >= low) & (values <= high))] = np.nan
-        has_content = float(image[::8, ::8].std()) >= _MIN_CONTRAST
-        if np.isfinite(values).any():
-            self._is_proven = True
+            median = _typical(values)
+            values[~(values >= min(low, _TINY))] = np.nan
+            has_content = float(image[::8, ::8].std()) >= _MIN_CONTRAST
             if has_content and quantity != "disparity" and not self._is_upright:
                 self._see_order(values, quantity)
+            values[~((values >= low) & (values <= high))] = np.nan
+        if self._is_metric and not low <= median <= high:
+            values[:] = np.nan
+        if np.isfinite(values).any():
+            self._is_proven = True
             return
         self._n_empty += 1
         if has_content and not self._is_proven:
@@ -65,11 +71,10 @@ class OutputCheck:
             )
 
     def _limits(self, quantity: Quantity) -> tuple[float, float]:
-        least = float(np.finfo(np.float32).tiny)
         if quantity == "disparity":
-            return least, np.inf
+            return _TINY, np.inf
         if not self._is_metric:
-            return (least if quantity == "depth" else -np.inf), np.inf
+            return (_TINY if quantity == "depth" else -np.inf), np.inf
         if quantity == "depth":
             return _RANGE_M
         return 1 / _RANGE_M[1], 1 / _RANGE_M[0]
@@ -102,3 +107,12 @@ class OutputCheck:
                 f"nearest, found the reverse in {_N_REVERSED} images; set `gives: {other}` in its "
                 "MODEL.yaml."
             )
+
+
+def _typical(values: FloatArray32) -> float:
+    """The median in the lower half of an image, else in all of it; 0 is no value. NaN = none."""
+    for part in (values[len(values) // 2 :], values):
+        given = part[np.isfinite(part) & (part != 0)]
+        if given.size:
+            return float(np.median(given))
+    return float("nan")

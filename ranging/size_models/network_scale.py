@@ -209,12 +209,12 @@ class NetworkScale:
         distance_m, sigma_m, systematic_m = np.full((3, len(raw)), np.nan)
         if len(rows):
             log_weight, mean, variance = self._at_grid
-            of_class, class_variance = self.class_factors
+            class_log_factors, class_variance = self.class_factors
             own = raw.sigma_m[rows] / raw.distance_m[rows]
             noise = np.maximum(np.nan_to_num(own) ** 2, self.noise_sigma**2)
             k = class_id[rows]
             lasting = self.sigma**2 + self.track_sigma**2 + class_variance[k]
-            y = np.log(raw.distance_m[rows]) - of_class[k]
+            y = np.log(raw.distance_m[rows]) - class_log_factors[k]
             total = variance[None] + (noise + lasting)[:, None, None]  # (R, S, G)
             chi2 = (y[:, None, None] - mean[None]) ** 2 / total
             log_p = logsumexp(log_weight[:, None] - 0.5 * (chi2 + np.log(total)), axis=1)
@@ -255,11 +255,11 @@ def network_scale(cells: NetworkCells, errors: NetworkErrors, *, by_size: bool) 
     if not len(cells.ratio):
         return NetworkScale(errors, errors.log_factor)
     noise2 = _noise_variance(cells, errors)
-    _, of_track, counts = np.unique(cells.track_id, return_inverse=True, return_counts=True)
+    _, track_index, counts = np.unique(cells.track_id, return_inverse=True, return_counts=True)
     known = cells.variance + noise2 / cells.n_frames
     track2, log_m = errors.track_sigma**2, cells.log_m
     own_variance = CLASS_SIGMA**2 if by_size else 0.0
-    n_per_track = counts[of_track]
+    n_per_track = counts[track_index]
     variance = known + track2 * n_per_track
     A, robust = _design(cells), np.ones(len(log_m))
     for _ in range(_N_ROUNDS):

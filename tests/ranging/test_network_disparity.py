@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.networks.depth_networks import DISPARITY_STEP, encoded, write_stereo
+from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.dense_stereo import DenseRanger
 from track_range.ranging.methods.method import MethodContext
 from track_range.ranging.methods.network_disparity import (
@@ -126,3 +127,26 @@ def test_semi_global_matching_shares_the_surfaces():
     ranges = ranger.measure(tracks(), Frame(0, 0.0, left, right))
     ranger.close()
     np.testing.assert_allclose(ranges.distance_m, 25.0, rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("factor", "reference", "is_found"),
+    [(0.5, "stereo", True), (2.0, "mono", True), (0.75, "mono", False), (1.1, "stereo", False)],
+)
+def test_a_wrong_scale_of_the_disparities_is_said_and_is_in_the_sigma(
+    tmp_path, factor, reference, is_found
+):
+    network = open_stereo_network(write_stereo(tmp_path / "net.onnx", factor=factor))
+    ranger = NetworkDisparityRanger("disparity", network, RIG, alignment=Alignment(residual_px=0.0))
+    true_m = np.array([25.0, 12.5])
+    others = {reference: Ranges(np.arange(2), true_m, 0.01 * true_m)}
+    for index in range(12):
+        ranges = ranger.measure_with(tracks(), frame(index), others)
+    ranger.close()
+    error_m = np.abs(ranges.distance_m - true_m)
+    if is_found:
+        assert (ranges.sigma_m > 0.99 * error_m).all()
+        assert f"{1 / factor:.2f} times those of the method {reference}" in ranger.notes[0]
+    else:
+        assert (ranges.sigma_m < 0.1 * true_m).all()
+        assert ranger.notes == ()

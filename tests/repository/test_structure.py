@@ -135,6 +135,7 @@ MOST_STATEMENTS = {
     # methods of networks by the names of files, and methods that only runs have which ask for them (50)
     # dense maps in threads and in metres, stereo networks, recorded depth (170)
     # networks that one road user contradicts (10)
+    # a wrong scale of disparities, and metres that few pixels can be (36)
     "ranging": 10_208,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)

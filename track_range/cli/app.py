@@ -133,7 +133,7 @@ COMMANDS = {
     "fit": Lazy(
         "track_range.cli.commands.fit",
         "Fit the size curves of the mono method to labels from your camera, or the errors of a "
-        "detector's boxes.",
+        "detector's boxes or a depth network.",
         examples=(
             "track-range fit --labels label_02/ --calib calib/ --out curves.json",
             "track-range fit --csv boxes.csv --focal-px 1150 --out curves.json",
@@ -181,7 +181,8 @@ COMMANDS = {
     ),
     "doctor": Lazy(
         "track_range.cli.commands.doctor",
-        "Print versions, codecs and folders of the installation, and test it.",
+        "Print versions, codecs and folders of the installation and test it, or print what is "
+        "understood of a network.",
         "The test uses 1 s of simulated video. Include the output in bug reports. Exit status 1 = "
         "a check failed. With MODEL, prints the format, inputs, size and time of a depth network, stereo "
         "network or detector instead.",

@@ -48,12 +48,12 @@ def fit_depth_model(
         return OwnDistances(DEPTH.name, network, context.camera)
 
     is_one = labels.is_file()
-    found = SequenceImages(images, None, calib=calib, align="off", is_one=is_one)
+    of_sequences = SequenceImages(images, None, calib=calib, align="off", is_one=is_one)
     context = MethodContext(camera=boxes.camera_at(0), runtime=runtime)
     columns = image_columns(
         boxes,
         [replace(DEPTH, create=create, reads=(), fallback_for=None)],
-        MethodInputs(images=found, depth_models={DEPTH.name: model}, progress=progress),
+        MethodInputs(images=of_sequences, depth_models={DEPTH.name: model}, progress=progress),
         context,
         chosen=(DEPTH.name,),
     )

@@ -93,6 +93,7 @@ def test_a_stereo_network_is_no_depth_network(tmp_path):
     ("line", "words"),
     [
         ("depth: 3", "'depth': this key is unknown"),
+        ("metrik: true", "'metrik': this key is unknown; did you mean metric"),
         ("gives: metres", "'gives': expected"),
         ("std: [1, 0, 1]", r"'std\.1': expected a number above 0, found 0"),
         ("format: madas", "'format': .*found 'madas'; did you mean midas"),
@@ -206,3 +207,38 @@ def test_negative_disparities_are_an_error(tmp_path):
     left = encoded(np.linspace(2.0, 60.0, 48)[:, None].repeat(64, axis=1), DISPARITY_STEP)
     with pytest.raises(NetworkError, match="expected positive disparities"):
         open_stereo_network(path).measure(left, left)
+
+
+@pytest.mark.parametrize(
+    ("truly", "stated"), [("depth", "inverse_depth"), ("inverse_depth", "depth")]
+)
+def test_the_reverse_of_metres_is_an_error_although_few_values_can_be_metres(
+    tmp_path, truly, stated
+):
+    path = write_depth(tmp_path / "made.onnx", gives=truly)
+    path.with_suffix(".yaml").write_text(f"task: depth\ngives: {stated}\ncolours: bgr\ndivisor: 1")
+    image = encoded(np.geomspace(200.0, 5.0, 48)[:, None].repeat(64, axis=1))
+    network = open_depth_network(path)
+
+    def drive():
+        for _ in range(5):
+            network.measure(image, 700.0)
+
+    with pytest.raises(NetworkError, match=rf"set `gives: {truly}`|expected depths from 0\.1"):
+        drive()
+
+
+def test_a_scale_that_leaves_metres_to_the_sky_alone_is_an_error(tmp_path):
+    path = write_depth(tmp_path / "made.onnx", factor=1e-3)
+    depths = DEPTHS.copy()
+    depths[:16] = 300.0
+    with pytest.raises(NetworkError, match=r"found a median of 0\.0\d+ in the first image"):
+        open_depth_network(path).measure(encoded(depths), 700.0)
+
+
+def test_depths_of_0_at_the_horizon_are_no_reverse(tmp_path):
+    depths = DEPTHS.copy()
+    depths[:26] = 0.0
+    network = open_depth_network(write_depth(tmp_path / "made.onnx"))
+    for _ in range(6):
+        assert np.isfinite(network.measure(encoded(depths), 700.0).values[26:]).all()

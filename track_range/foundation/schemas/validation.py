@@ -40,8 +40,12 @@ def validated(model: type[_Model], content: Any, source: object, error: type[Exc
         return model.model_validate(content)
     except ValidationError as reason:
         key, problem = first_problem(reason)
+        if problem == _UNKNOWN and (
+            near := difflib.get_close_matches(key, model.model_fields, n=1)
+        ):
+            problem += f"; did you mean {near[0]}?"
         place = f"'{key}': " if key else ""
-        raise error(f"{source}: {place}{problem}.") from reason
+        raise error(f"{source}: {place}{problem}{'' if problem.endswith('?') else '.'}") from reason
 
 
 _Settings = TypeVar("_Settings")
@@ -83,7 +87,7 @@ def first_problem(error: ValidationError) -> tuple[str, str]:
     if error_type == "missing":
         return key, "expected a value, found none"
     if error_type in ("extra_forbidden", "unexpected_keyword_argument"):
-        return key, "this key is unknown"
+        return key, _UNKNOWN
     if error_type in ("value_error", "assertion_error"):
         return key, shortened(first["msg"].partition(", ")[2].removesuffix("."), _MAX_PROBLEM)
     if error_type in _EXPECTED:
@@ -93,6 +97,7 @@ def first_problem(error: ValidationError) -> tuple[str, str]:
     return key, f"expected {shortened(expected, _MAX_PROBLEM)}, found {quoted(first['input'])}"
 
 
+_UNKNOWN = "this key is unknown"
 _MAX_PROBLEM = 200  # characters of the description of a problem
 _EXPECTED = {  # by pydantic's type of error
     "greater_than": "a number above {gt}",

@@ -13,6 +13,7 @@ from track_range.foundation.errors import ConfigError
 from track_range.ranging.measurement.dense_map import DenseMap
 from track_range.ranging.networks.network import DepthNetwork, StereoNetwork, open_network
 from track_range.ranging.networks.network_format import NetworkError
+from track_range.ranging.networks.recognition import settings_file
 
 Row = tuple[str, str, str]  # property, value, source
 
@@ -32,6 +33,8 @@ def model_rows(
     try:
         network = open_network(path)
     except NetworkError as error:
+        if settings_file(path).is_file():
+            raise  # its MODEL.yaml says that it is no detector
         try:
             detector = YoloDetector(path)
         except ModelError as reason:

@@ -50,13 +50,13 @@ class _View:
         """Whether focal length or centre contradict each other."""
         if self.camera is None or other.camera is None:
             return False
-        ours, theirs = (
+        own_view, other_view = (
             np.array([k[0, 0], k[0, 2], k[1, 2]]) / width
             for k, width in (
                 (one.camera.k, one.camera.size_px[0]) for one in (self, other) if one.camera
             )
         )
-        return bool(np.abs(ours - theirs).max() > _SAME_VIEW)
+        return bool(np.abs(own_view - other_view).max() > _SAME_VIEW)
 
 
 class DepthImages:
@@ -127,20 +127,20 @@ def find_depth(
     that is left out.
     """
     view = _view(bag, images)
-    notes, found = [], list[DepthImages]()
+    notes, readers = [], list[DepthImages]()
     for topic in _candidates(bag, images):
         reader = DepthImages(bag.path, topic, uses_recorded_times=uses_recorded_times, fps=fps)
         problem = _problem(reader, bag, images, view)
         if problem:
             notes.append(f"{bag.path}: depth images ({topic.name}) are left out: {problem}.")
         else:
-            found.append(reader)
+            readers.append(reader)
     # aligned by its name before the same view, and the whole before the compressed image
-    found.sort(key=lambda one: (_ALIGNED.isdisjoint(words(one.topic.name)), len(one.topic.name)))
-    if not found:
+    readers.sort(key=lambda one: (_ALIGNED.isdisjoint(words(one.topic.name)), len(one.topic.name)))
+    if not readers:
         return None, tuple(notes)
-    used = f"{bag.path}: the depth in {found[0].topic.name} is the ranging method `recorded`."
-    return found[0], (used, *notes)
+    used = f"{bag.path}: the depth in {readers[0].topic.name} is the ranging method `recorded`."
+    return readers[0], (used, *notes)
 
 
 def _candidates(bag: Bag, images: Topic) -> list[Topic]:
