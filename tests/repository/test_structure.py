@@ -136,7 +136,7 @@ MOST_STATEMENTS = {
     # dense maps in threads and in metres, stereo networks, recorded depth (170)
     # networks that one road user contradicts (10)
     # a wrong scale of disparities, and metres that few pixels can be (36)
-    "ranging": 10_208,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 10_247,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
     # `check` (4)
@@ -168,7 +168,7 @@ MOST_STATEMENTS = {
     # a condition without a folder (4)
     # methods of labelled boxes compared, with the progress of their images (9)
     # what is understood of a network (75)
-    "cli": 2_755,
+    "cli": 2_758,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (143), several drives together, and intervals of rates (49)
@@ -202,7 +202,7 @@ MOST_STATEMENTS = {
     # notes with a code, severity and sensor (25)
     # differences of methods on the same objects, and which are more than noise (34)
     # options that are lists of paths (5)
-    "foundation": 2_098,
+    "foundation": 2_101,
     # each stage has a frozen output, and `FrameResult` consists of them (165); the detection and the
     # scale report (9)
     # the way of a repeated image (45); the scale of a pair, corrected in one place (7); the
