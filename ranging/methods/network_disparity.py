@@ -139,7 +139,7 @@ def network_method(name: str) -> RangingMethod:
         name=name,
         title="stereo network" if name == _NAME else f"stereo network {name.partition('-')[2]}",
         letter="N",  # further networks get another one
-        colour="#c97b1d",
+        colour="#5c8f2f",
         create=create,
         needs=frozenset({"image", "rig", "right_image"}),
         reads=tuple(_WRONG_FACTOR),

@@ -47,7 +47,7 @@ RECORDED = RangingMethod(
     name="recorded",
     title="recorded depth",
     letter="C",
-    colour="#2b6f6b",
+    colour="#1f8a94",
     create=_create,
     needs=frozenset({"image", "recorded_depth"}),
     # calibration and matching of the device: of a track, most of it stays
