@@ -162,6 +162,6 @@ def test_what_is_said_of_each_network(measured, kind):
     assert "corrected" in note("short")
     assert "says little" in note("constant")
     values = measured(kind, "constant")[0]["depth"]
-    known = np.isfinite(values[1])
-    assert known.mean() < 0.3 or np.median(values[1][known]) > 0.6
+    # empty, or with sigmas that cover; that `fused` is not worse is tested above
+    assert not np.isfinite(values[0]).any() or within(values, 2) >= 0.9
     assert not any("depth network" in text for text in measured(kind, None)[1])
