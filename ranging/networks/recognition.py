@@ -24,6 +24,15 @@ def settings_file(path: Path) -> Path:
     return path.with_suffix(".yaml")
 
 
+def has_network_settings(path: Path) -> bool:
+    """Whether `MODEL.yaml` is that of a depth or stereo network, and not that of a detector."""
+    sidecar = settings_file(path)
+    if not sidecar.is_file():
+        return False
+    lines = sidecar.read_text(encoding="utf-8", errors="replace").splitlines()
+    return any(line.startswith(("format:", "task:", "gives:")) for line in lines)
+
+
 def format_of(
     path: Path, inputs: Sequence[Any], outputs: Sequence[Any]
 ) -> tuple[str, NetworkFormat]:

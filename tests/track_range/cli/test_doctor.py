@@ -199,6 +199,12 @@ def test_a_network_that_is_neither_is_an_error(cli, tmp_path):
         assert words in error
 
 
+def test_a_wrong_key_beside_a_network_is_one_sentence(cli, tmp_path):
+    model = write_depth(tmp_path / "made.onnx", settings="metrik: true")
+    error = cli("doctor", model)[2]
+    assert error.strip().endswith("made.yaml: 'metrik': this key is unknown; did you mean metric?")
+
+
 def test_an_image_needs_a_model(cli, tmp_path):
     status, _, error = cli("doctor", "--image", tmp_path / "image.png")
     assert (status, "expected a MODEL" in error) == (2, True)

@@ -13,7 +13,7 @@ from track_range.foundation.errors import ConfigError
 from track_range.ranging.measurement.dense_map import DenseMap
 from track_range.ranging.networks.network import DepthNetwork, StereoNetwork, open_network
 from track_range.ranging.networks.network_format import NetworkError
-from track_range.ranging.networks.recognition import settings_file
+from track_range.ranging.networks.recognition import has_network_settings
 
 Row = tuple[str, str, str]  # property, value, source
 
@@ -33,11 +33,11 @@ def model_rows(
     try:
         network = open_network(path)
     except NetworkError as error:
-        if settings_file(path).is_file():
-            raise  # its MODEL.yaml says that it is no detector
         try:
             detector = YoloDetector(path)
         except ModelError as reason:
+            if has_network_settings(path):
+                raise error from None
             no_detector = str(reason).removeprefix(f"{path}: ")
             raise NetworkError(f"{error} It is no detector either: {no_detector}") from error
         return [("kind", "detector", ""), *detector_rows(detector)]
