@@ -134,7 +134,7 @@ MOST_STATEMENTS = {
     # methods with their noise (100), and networks corrected by their drives (25)
     # methods of networks by the names of files, and methods that only runs have which ask for them (50)
     # dense maps in threads and in metres, stereo networks, recorded depth (170)
-    # networks that one road user contradicts (10)
+    # networks that one road user contradicts (3)
     # a wrong scale of disparities, and metres that few pixels can be (36)
     "ranging": 10_253,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
@@ -225,7 +225,7 @@ MOST_STATEMENTS = {
     # whether the border cuts a box, as a part of its approach (1)
     # a camera that stands still (17)
     # methods that are only shown (15)
-    # fused methods do not read those that are only shown (3)
+    # fused methods do not read those that are only shown (4)
     "pipeline": 1_228,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
