@@ -39,7 +39,8 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
 _NAME = "depth"
-_REFERENCES = ("stereo", "mono")  # for networks that are right up to scale and shift
+_PAIR = "stereo"
+_REFERENCES = (_PAIR, "mono")  # for networks that are right up to scale and shift
 
 
 class DepthSource(OpenedNetwork, Protocol):
@@ -91,6 +92,8 @@ class NetworkDepthRanger(DenseMapRanger):
                 return Measured(self._by_others(tracks, values, sigmas, others, frame.time_s))
             errors = errors.model_copy(update={"drive_sigma": FREE_SIGMA})  # right up to a factor
         raw = _raw(tracks, depths, values, sigmas)
+        if _PAIR in others:  # which is some ten times as precise, and corrects the sizes
+            raw = replace(raw, is_fallback=True)
         before = NetworkScale(errors, errors.log_factor, errors.drive_sigma_before)
         drive = scale.network.get(self._name, before)
         # of the pixels: the factor of the drive alone, since they have no class

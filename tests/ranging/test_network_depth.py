@@ -81,6 +81,16 @@ def test_distances_are_corrected_by_the_scale_of_the_drive(ranger_of):
     assert (np.abs(corrected.distance_m - TRUE_M) < 2 * corrected.sigma_m).all()
 
 
+def test_beside_a_pair_it_is_fused_only_where_others_do_not_measure(ranger_of):
+    """Also after the correction by what the frame itself shows, which begins with its own ranges."""
+    ranger, shown = ranger_of(), frame()
+    pair = Ranges(np.arange(len(TRUE_M)), TRUE_M, 0.02 * TRUE_M)
+    for others, is_fallback in (({}, False), ({"mono": pair}, False), ({"stereo": pair}, True)):
+        measured = ranger.measure_at_scale(tracks(), shown, others, DriveScale())
+        assert measured.ranges.is_fallback is is_fallback
+        assert measured.by_network.ranges.is_fallback is is_fallback
+
+
 def test_measured_errors_of_the_file_are_used(ranger_of):
     settings = "errors: {factor: 0.5, drive_sigma: 0.05, track_sigma: 0.03, class_sigma: 0.02}\n"
     measured = ranger_of(factor=0.5, settings=settings).measure_at_scale(
