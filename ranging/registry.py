@@ -107,8 +107,8 @@ def register(method: RangingMethod) -> None:
 
 
 def method_of(text: str) -> RangingMethod:
-    """The method with this name, or the `RangingMethod` that "package.module:OBJECT" names, which is
-    registered for the lifetime of the process, as an optional method.
+    """The method with this name, or the `RangingMethod` that "package.module:OBJECT" names, which
+    is registered for the lifetime of the process, as an optional method.
 
     The command line also searches for the module in the current folder, after the installed ones.
     Raises MethodError: there is no such method, or it cannot be imported or registered.
@@ -155,7 +155,8 @@ def network_names(kind: str, files: Sequence[Path]) -> dict[str, Path]:
         if other is not file:
             raise MethodError(
                 f"{file}: the columns of two networks have the names of their files, and those of "
-                f"{other} and this one would both be {kind}-{own}_m; rename a file, or give it once."
+                f"{other} and this one would both be {kind}-{own}_m; rename a file, or "
+                "give it once."
             )
     return named
 
@@ -173,7 +174,9 @@ def register_networks(names: Iterable[str]) -> None:
 
 
 def _distinct(method: RangingMethod) -> RangingMethod:
-    """The method with a letter that no other one has, of its name if possible, and another colour."""
+    """The method with a letter that no other one has, of its name if possible, and another
+    colour.
+    """
     used = {other.letter for other in methods()}
     wanted = (*method.name.partition("-")[2].upper(), *_LETTERS)
     letter = next((one for one in wanted if one in _LETTERS and one not in used), None)
@@ -193,8 +196,8 @@ def methods_of_run(
 
     `chosen`: names or objects of the methods, see `method_of`; empty = all that are installed or
     registered, of which optional ones measure if the run has their input. The methods of `networks`
-    and those of `show_only`, which do not fuse, are part of it in any case. Raises MethodError: there
-    is no such method.
+    and those of `show_only`, which do not fuse, are part of it in any case. Raises MethodError:
+    there is no such method.
     """
     register_networks(networks)
     shown = {method_of(text).name for text in show_only}
@@ -228,8 +231,8 @@ def in_measuring_order(listed: Sequence[RangingMethod]) -> tuple[RangingMethod, 
 def create_rangers(
     context: MethodContext, listed: Sequence[RangingMethod] | None = None
 ) -> dict[str, Ranger]:
-    """Rangers by name, in measuring order, of the `listed` methods with their requirements met; None
-    = of the usual `methods_of_run`.
+    """Rangers by name, in measuring order, of the `listed` methods with their requirements met;
+    None = of the usual `methods_of_run`.
 
     Each factory gets the context with the rangers created before. Raises MethodError: the `reads`
     of the methods form a cycle.

@@ -1,4 +1,5 @@
-"""Common motion: the image shift that the boxes of a frame have in common, where there are no images.
+"""Common motion: the image shift that the boxes of a frame have in common, where there are no
+images.
 
 A camera that turns or pitches moves all boxes alike, so that the innovations of different tracks
 agree, which they do not if the camera stands. With y_i the innovation of the centre of track i, S_i

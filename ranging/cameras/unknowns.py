@@ -1,8 +1,8 @@
 """What a drive tells about its cameras: the unknowns, and what is known of each before the drive.
 
 An unknown is the logarithm of the factor by which the assumed value is too large. To add one, add a
-member of `Unknown` and its prior in `camera_priors`; evidence then names it. Every depth network has
-one, too (`NetworkFactor`), with the prior of its evidence.
+member of `Unknown` and its prior in `camera_priors`; evidence then names it. Every depth network
+has one, too (`NetworkFactor`), with the prior of its evidence.
 """
 
 import math

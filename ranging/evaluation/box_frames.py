@@ -59,8 +59,8 @@ class SequenceRangers:
     """Rangers of one sequence with the scale of its drive.
 
     `reads` are the names of the methods that each reads. With a `check`, the distances of networks
-    are corrected by the evidence of the drive, as in a run; `of_rig` are the methods with the scale of
-    the pair.
+    are corrected by the evidence of the drive, as in a run; `of_rig` are the methods with the scale
+    of the pair.
     """
 
     def __init__(

@@ -48,8 +48,8 @@ def box_methods() -> tuple[RangingMethod, ...]:
 def method_names(
     inputs: MethodInputs = _NO_INPUTS, camera_height_m: float | None = None
 ) -> tuple[str, ...]:
-    """Names of all methods that can be measured, in the order of tables; the last ones are the fusion
-    of the box methods and, with images, of all methods.
+    """Names of all methods that can be measured, in the order of tables; the last ones are the
+    fusion of the box methods and, with images, of all methods.
     """
     boxes = [method.name for method in box_methods()]
     available = inputs.available(camera_height_m)
@@ -77,7 +77,8 @@ def check_methods(
             if part not in by_name:
                 known = ", ".join((*PLAIN_CURVES, *by_name))
                 raise UsageError(
-                    f"--methods {part}: expected methods of distances from {known}, joined by + for "
+                    f"--methods {part}: expected methods of distances from {known}, "
+                    "joined by + for "
                     "their fusion, or package.module:OBJECT."
                 )
             for need in sorted(by_name[part].needs - available):
@@ -122,8 +123,8 @@ def measured_by(
     """Distances and sigmas of N boxes, by method of `method_names`, or by several methods joined by
     +, which are fused.
 
-    Curves are fitted to `train`: boxes of the same sequences, for example without noise. `inputs` are
-    those of methods that need more than boxes; see `image_columns` for their errors.
+    Curves are fitted to `train`: boxes of the same sequences, for example without noise. `inputs`
+    are those of methods that need more than boxes; see `image_columns` for their errors.
     """
     options = options or MethodOptions()
     scheme = options.scheme or cross_validation.cross_validated

@@ -181,7 +181,8 @@ def _with_images(
         shown = next((frame for frame in opened.frames if frame.index >= blank.index), None)
         if shown is None or shown.index != blank.index:
             raise LabelledImageError(
-                f"{opened.source}: expected an image of the labelled frame {blank.index}, found none."
+                f"{opened.source}: expected an image of the labelled frame "
+                f"{blank.index}, found none."
             )
         given_hw, label_hw = shown.left.shape[:2], blank.left.shape[:2]
         if np.any(np.abs(np.divide(given_hw, label_hw) - 1) > _MAX_SIZE_DIFFERENCE):

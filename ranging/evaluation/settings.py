@@ -165,7 +165,8 @@ class RangeEvaluationSettings(Options):
     images: Annotated[
         Path | None,
         option(
-            "Images of the labels, for methods that need them: a folder with a folder of PNG or JPG "
+            "Images of the labels, for methods that need them: a folder with a folder "
+            "of PNG or JPG "
             "images, or a video, for each sequence, named like the labels (the images or the video "
             "themselves for one file of labels).",
             metavar="DIR",
@@ -178,7 +179,8 @@ class RangeEvaluationSettings(Options):
     align: Annotated[
         str,
         option(
-            "Disparity correction of the pairs: estimated from their images as in a run, none (off), "
+            "Disparity correction of the pairs: estimated from their images as in a "
+            "run, none (off), "
             "or an alignment file.",
             metavar="auto|off|FILE",
         ),

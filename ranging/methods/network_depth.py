@@ -109,8 +109,8 @@ class NetworkDepthRanger(DenseMapRanger):
         others: Mapping[str, Ranges],
         time_s: float,
     ) -> Ranges:
-        """Distances by values (N,) that the distances of other methods calibrate: they are not fused
-        where these measured.
+        """Distances by values (N,) that the distances of other methods calibrate: they are not
+        fused where these measured.
         """
         known_m, known_sigma_m = np.full((2, len(tracks)), np.nan)
         for name in _REFERENCES:
@@ -158,9 +158,7 @@ def network_method(name: str) -> RangingMethod:
         from track_range.ranging.networks.network import open_depth_network  # onnxruntime
 
         network = open_depth_network(path, context.runtime)
-        ranger = NetworkDepthRanger(name, network, context.camera)
-        ranger.network = network
-        return ranger
+        return NetworkDepthRanger(name, network, context.camera)
 
     return RangingMethod(
         name=name,

@@ -6,9 +6,9 @@ pixels of an object share, since a network knows the shapes that it was trained 
 
     sigma_network = hypot(0.3 px of the map, 1 % of the disparity)
 
-as PSMNet (trained on KITTI 2015) shows on simulated pairs, seeds 0 to 6: 65 and 100 % of 49 boxes are
-within one and two sigma. Disparities that are too large or too small by a factor, as those of a wrong
-MODEL.yaml, are found by the distances of other methods (`measure_with`).
+as PSMNet (trained on KITTI 2015) shows on simulated pairs, seeds 0 to 6: 65 and 100 % of 49 boxes
+are within one and two sigma. Disparities that are too large or too small by a factor, as those of a
+wrong MODEL.yaml, are found by the distances of other methods (`measure_with`).
 """
 
 import math
@@ -34,7 +34,8 @@ _NAME = "disparity"
 # standard deviation of an error that the pixels of an object share, px of the map and fraction of
 # the disparity
 _NETWORK_PX, _NETWORK_FRACTION = 0.3, 0.01
-# methods whose distances show a wrong scale, the factor from which one is wrong, that no usual error
+# methods whose distances show a wrong scale, the factor from which one is wrong, that no usual
+# error
 # of these reaches, and numbers of the last boxes that are compared
 _WRONG_FACTOR: Mapping[str, float] = {"stereo": 1.25, "mono": 1.5}
 _MIN_COMPARED, _MAX_COMPARED = 20, 300
@@ -44,7 +45,7 @@ class DisparitySource(Protocol):
     """An open stereo network, or what measures like one."""
 
     def measure(self, left: Image, right: Image) -> DenseMap:
-        """The disparities of a rectified pair of images (H, W, 3) in BGR."""
+        """The disparities of a rectified pair of images, (H, W, 3) in BGR or (H, W) grey."""
 
 
 class NetworkDisparityRanger(DisparityMapRanger):
@@ -68,10 +69,7 @@ class NetworkDisparityRanger(DisparityMapRanger):
         """The disparities of a frame; None without a right image."""
         if frame.right is None:
             return None
-        left, right = frame.left, whole_image(frame.right)
-        if right.ndim == 2:  # beside a left image in colour
-            right = np.repeat(right[:, :, None], 3, axis=2)
-        return self._source.measure(left, right)
+        return self._source.measure(frame.left, whole_image(frame.right))
 
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
         """Distances as `measure` gives them; if they are a clear factor away from those of other

@@ -1,4 +1,5 @@
-"""RecordedDepthRanger: distance by the depth that a stereo or depth camera recorded beside its images.
+"""RecordedDepthRanger: distance by the depth that a stereo or depth camera recorded beside its
+images.
 
 The error of a stereo camera grows with the square of the distance. Of OAK-D with a baseline of
 75 mm, Luxonis states "below 2 % under 4 m, 4 % to 7 m, 6 % to 10.5 m" for a median device
@@ -24,7 +25,9 @@ class RecordedDepthRanger(Ranger):
     """Ranges each box by the recorded depth of the object's surface at its centre."""
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances of observed boxes with a surface; NaN for others, and in frames without depth."""
+        """Distances of observed boxes with a surface; NaN for others, and in frames without
+        depth.
+        """
         self.dense = None
         if frame.depth_m is None:
             return Ranges.unmeasured(tracks.track_id)

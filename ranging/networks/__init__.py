@@ -1,1 +1,3 @@
-"""Depth networks of one camera and stereo networks, in ONNX files of the user: images -> DenseMap."""
+"""Depth networks of one camera and stereo networks, in ONNX files of the user: images ->
+DenseMap.
+"""

@@ -85,8 +85,10 @@ class NetworkInputs:
             texts = ", ".join(f"{name} {info.shape}" for name, info in self._infos.items())
             raise NetworkError(
                 f"{self._path}: expected the inputs {' or '.join(map(_listed, wanted))}, found "
-                f"{len(names)}: {shortened(texts, 100)}; give the content of each as `inputs` in its "
-                "MODEL.yaml, such as `inputs: [image, intrinsics, 1800]` or `inputs: [right, left]`."
+                f"{len(names)}: {shortened(texts, 100)}; give the content of each as "
+                "`inputs` in its "
+                "MODEL.yaml, such as `inputs: [image, intrinsics, 1800]` or `inputs: "
+                "[right, left]`."
             )
         return dict(zip(names, given, strict=True))
 

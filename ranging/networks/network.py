@@ -170,10 +170,10 @@ class StereoNetwork(_Network):
     """A network that gives the disparities of a rectified pair."""
 
     def measure(self, left: Image, right: Image) -> DenseMap:
-        """Disparities x_left - x_right in pixels of the left image (H, W, 3), BGR; NaN where the
-        network gives none.
+        """Disparities x_left - x_right in pixels of the left image, NaN where the network gives
+        none, from images (H, W, 3), BGR, or (H, W), grey.
         """
-        if left.shape != right.shape:
+        if left.shape[:2] != right.shape[:2]:
             raise NetworkError(
                 f"{self.path}: expected two images of one size, got {left.shape} and {right.shape}."
             )

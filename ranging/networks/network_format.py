@@ -1,4 +1,6 @@
-"""NetworkFormat: what a depth or stereo network takes and gives, as its row or its MODEL.yaml says."""
+"""NetworkFormat: what a depth or stereo network takes and gives, as its row or its MODEL.yaml
+says.
+"""
 
 from typing import Annotated, Literal, Self, get_args
 

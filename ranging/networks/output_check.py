@@ -103,7 +103,8 @@ class OutputCheck:
         if self._n_reversed == _N_REVERSED:
             other = "inverse_depth" if quantity == "depth" else "depth"
             raise NetworkError(
-                f"{self._path}: expected depths that fall towards the lower border, where a road is "
+                f"{self._path}: expected depths that fall towards the lower border, "
+                "where a road is "
                 f"nearest, found the reverse in {_N_REVERSED} images; set `gives: {other}` in its "
                 "MODEL.yaml."
             )

@@ -1,7 +1,7 @@
 """InputPlacement: where an image lies in a network's input, and its pixels back from the output.
 
-An image of (H, W) is resized to (h, w) and stands at the input's upper left corner, or at its centre with
-a letterbox. The output covers the whole input, at its resolution or at another one.
+An image of (H, W) is resized to (h, w) and stands at the input's upper left corner, or at its
+centre with a letterbox. The output covers the whole input, at its resolution or at another one.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,6 @@
-"""The format of a network's file: its `MODEL.yaml`, else its names where only one format has them."""
+"""The format of a network's file: its `MODEL.yaml`, else its names where only one format has
+them.
+"""
 
 import difflib
 from collections.abc import Sequence
@@ -88,7 +90,8 @@ def _of_settings(sidecar: Path, path: Path) -> tuple[str, NetworkFormat]:
     name = values.pop(_FORMAT, None)
     if name is None and not {"task", "gives"} <= values.keys():
         raise NetworkError(
-            f"{sidecar}: expected `format: NAME`, or at least `task` and `gives`, such as {_DEPTH}, "
+            f"{sidecar}: expected `format: NAME`, or at least `task` and `gives`, such "
+            f"as {_DEPTH}, "
             f"found {shortened(', '.join(map(str, values)), _SEEN) or 'no key'}."
         )
     start: dict[str, Any] = {}

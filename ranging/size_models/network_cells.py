@@ -1,5 +1,5 @@
-"""CellAverages: log ratios of the distances of a network and their references, by track and range of
-distances.
+"""CellAverages: log ratios of the distances of a network and their references, by track and range
+of distances.
 """
 
 from dataclasses import dataclass

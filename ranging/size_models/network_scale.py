@@ -10,8 +10,9 @@ g = 0; one that says nothing of distances has g' = -1, and one that saturates ha
 g is a linear interpolation between `_KNOTS`, by one of several hypotheses (`_SHAPES`): constant,
 bent, falling with the distance from a limit on, or any. They are weighed by their marginal
 likelihoods, so that there is no threshold between a network that is right and one that says
-nothing. The distance of an object is the posterior median of log d, with a flat prior up to 80 m, given z: where
-the network does not change with the distance, all distances are possible, and sigma is as wide.
+nothing. The distance of an object is the posterior median of log d, with a flat prior up to 80 m,
+given z: where the network does not change with the distance, all distances are possible, and sigma
+is as wide.
 """
 
 from __future__ import annotations
@@ -75,11 +76,12 @@ _USELESS = 0.75  # sigma of log d above which an object is not measured
 
 
 class NetworkErrors(BaseModel):
-    """What is known of a network's errors before a drive, as sigmas of logarithms: of any network, or
-    measured for one by `track-range fit --depth-model`, which writes it as `errors` to MODEL.yaml.
+    """What is known of a network's errors before a drive, as sigmas of logarithms: of any network,
+    or measured for one by `track-range fit --depth-model`, which writes it as `errors` to
+    MODEL.yaml.
 
-    The factor of a drive is that of networks which were not trained on its camera. Errors of at most
-    25 % have 86 % of the pixels of UniDepth on nuScenes and 98.6 % on KITTI, 28 % and 96 % of
+    The factor of a drive is that of networks which were not trained on its camera. Errors of at
+    most 25 % have 86 % of the pixels of UniDepth on nuScenes and 98.6 % on KITTI, 28 % and 96 % of
     ZoeDepth. With the noise of each on KITTI (0.09, 0.11), that is a factor of exp(0.13) and
     exp(0.29) on nuScenes: a root mean square of 0.22.
     """
@@ -107,8 +109,8 @@ class NetworkErrors(BaseModel):
 
     @property
     def class_variances(self) -> FloatArray:
-        """(C,) variances of the factors of `SIZE_CLASSES`; those of others than the measured classes
-        are as of any network.
+        """(C,) variances of the factors of `SIZE_CLASSES`; those of others than the measured
+        classes are as of any network.
         """
         is_measured = np.array([name in self.class_factors for name in SIZE_CLASSES])
         usual = 0.0 if not self.class_factors else _CLASS_SIGMA**2

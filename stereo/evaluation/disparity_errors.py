@@ -166,8 +166,8 @@ def common_figures(
 def comparison(
     columns: Mapping[str, MatcherColumn], objects: Objects, *, seed: int = 0
 ) -> dict[str, dict[str, Any]]:
-    """Median errors on the objects that all matchers measured, and failures on all objects, with the
-    differences from the smallest one; see `paired_differences`.
+    """Median errors on the objects that all matchers measured, and failures on all objects, with
+    the differences from the smallest one; see `paired_differences`.
     """
     everything = np.ones(len(objects), np.bool_)
     measured = {name: column.disparity_px for name, column in columns.items()}

@@ -1,16 +1,16 @@
 """The surface of the object at the centre of each box, from a dense map of disparities.
 
 The surfaces, and the choice between them, are those of the patch matcher (`surfaces`,
-`surface_choice`): only the disparities of a box's windows are read from a map, each as the median of
-a few of its pixels, and not matched. So an object behind a pole, beside a nearer vehicle or with the
-background in its windows has the disparity of its own pixels, at the box's centre.
+`surface_choice`): only the disparities of a box's windows are read from a map, each as the median
+of a few of its pixels, and not matched. So an object behind a pole, beside a nearer vehicle or with
+the background in its windows has the disparity of its own pixels, at the box's centre.
 
     sigma^2 = floor^2 + (floor_fraction d)^2 + (scatter_fraction scatter)^2 + (tilt_fraction tilt)^2
               + choice^2
 
-with the terms of `PatchMatcher`: the scatter of the windows about their surface, its tilt across the
-box, and the disparities of the other surfaces by their probabilities. Errors that all pixels of an
-object share are not in it.
+with the terms of `PatchMatcher`: the scatter of the windows about their surface, its tilt across
+the box, and the disparities of the other surfaces by their probabilities. Errors that all pixels of
+an object share are not in it.
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ from track_range.ranging.methods.network_disparity import (
     NetworkDisparityRanger,
 )
 from track_range.ranging.networks.network import open_stereo_network
+from track_range.ranging.networks.network_format import NetworkError
 from track_range.ranging.registry import METHODS, register_networks
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -45,6 +46,22 @@ def ranger(tmp_path):
     ranger = NetworkDisparityRanger("disparity", network, RIG, alignment=Alignment(residual_px=0.0))
     yield ranger
     ranger.close()
+
+
+def test_grey_images_are_those_of_equal_channels(tmp_path):
+    network = open_stereo_network(write_stereo(tmp_path / "net.onnx"))
+    grey = np.full(HW, 20, np.uint8)
+    grey[:, ::2] = 40
+    colour = np.repeat(grey[:, :, None], 3, axis=2)
+    expected = network.measure(colour, colour).values
+    assert np.unique(np.round(expected, 2)).tolist() == [
+        20.08,
+        40.16,
+    ]  # 257 / 256 of the grey level
+    for pair in ((grey, grey), (colour, grey), (grey, colour)):
+        np.testing.assert_array_equal(network.measure(*pair).values, expected)
+    with pytest.raises(NetworkError, match="one size"):
+        network.measure(grey, grey[:, 1:])
 
 
 def test_metres_from_the_file_of_a_network(ranger):

@@ -37,8 +37,8 @@ def evaluate_ranges(labels: str | Path, calib: str | Path, **options: Any) -> di
 
     Raises:
         UsageError: an option is unknown or invalid.
-        LabelFileError, RigError, CurveError, VideoError, LabelledImageError, MethodError: a file, an
-            image or a method cannot be used.
+        LabelFileError, RigError, CurveError, VideoError, LabelledImageError, MethodError: a file,
+            an image or a method cannot be used.
     """
     return _evaluate_ranges(
         RangeEvaluationSettings.of({"labels": labels, "calib": calib, **options})

@@ -2,8 +2,8 @@
 fitted.
 
     DIR          KITTI 2015's layout, or a labelled drive, as written by `simulate` or the demo: left.mp4, right.mp4
-                 (or folders left/, right/ of images), rig.yaml (or calib.txt), truth.csv (or truth.txt, label.txt:
-                 KITTI tracking labels)
+                 (or folders left/, right/ of images), rig.yaml (or calib.txt), truth.csv (or
+                 truth.txt, label.txt: KITTI tracking labels)
     LABELS       KITTI tracking labels of two videos, or a CSV file as for `--truth`
     FILE.csv     frame,x1,y1,x2,y2 and distance_m or disparity_px (and id, -1 = unknown) of two videos; frames count
                  from 0

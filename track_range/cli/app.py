@@ -184,7 +184,8 @@ COMMANDS = {
         "Print versions, codecs and folders of the installation and test it, or print what is "
         "understood of a network.",
         "The test uses 1 s of simulated video. Include the output in bug reports. Exit status 1 = "
-        "a check failed. With MODEL, prints the format, inputs, size and time of a depth network, stereo "
+        "a check failed. With MODEL, prints the format, inputs, size and time of a "
+        "depth network, stereo "
         "network or detector instead.",
         (
             "track-range doctor",

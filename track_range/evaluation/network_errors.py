@@ -68,7 +68,9 @@ def fit_depth_model(
 
 
 def write_errors(network: DepthNetwork, fitted: FittedNetwork, out: Path | None = None) -> Path:
-    """Write the errors to the MODEL.yaml of a network, or another file of its format; returns it."""
+    """Write the errors to the MODEL.yaml of a network, or another file of its format; returns
+    it.
+    """
     own, errors = settings_file(network.path), fitted.errors.model_dump(exclude_none=True)
     content: Any = network.format.model_dump(mode="json", exclude_defaults=True)
     if own.is_file():

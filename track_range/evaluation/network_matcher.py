@@ -15,8 +15,8 @@ from track_range.stereo.matching.patch_matches import ExpectedDisparity, Outcome
 class NetworkMatcher:
     """Matcher that reads boxes in the disparities of a network; priors are not used.
 
-    It runs on one thread, as the other matchers of an evaluation. NetworkError, ModelError: the file
-    is no usable stereo network.
+    It runs on one thread, as the other matchers of an evaluation. NetworkError, ModelError: the
+    file is no usable stereo network.
     """
 
     def __init__(self, path: Path) -> None:
@@ -31,11 +31,7 @@ class NetworkMatcher:
         by_size: ExpectedDisparity | None = None,
     ) -> PatchMatches:
         """See `BoxMatcher.match`; the outcome of boxes without a surface is NO_TEXTURE."""
-        dense = self._network.measure(_colour(left), _colour(whole_image(right)))
+        dense = self._network.measure(left, whole_image(right))
         disparity_px, sigma_px = network_surfaces(dense, xyxy_px)
         outcome = np.where(np.isnan(disparity_px), int(Outcome.NO_TEXTURE), int(Outcome.MATCHED))
         return PatchMatches.of(disparity_px, sigma_px, outcome)
-
-
-def _colour(image: Image) -> Image:
-    return image if image.ndim == 3 else np.repeat(image[:, :, None], 3, axis=2)

@@ -1,4 +1,6 @@
-"""Evaluation of ranging methods on labelled boxes, with the images of the labels if they are given."""
+"""Evaluation of ranging methods on labelled boxes, with the images of the labels if they are
+given.
+"""
 
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -87,6 +89,7 @@ class SequenceImages:
         if self.is_one and place.exists():
             return place
         raise LabelledImageError(
-            f"{option} {place}: expected the images of the labels {name}.txt in a folder {name}, or a "
+            f"{option} {place}: expected the images of the labels {name}.txt in a "
+            f"folder {name}, or a "
             f"video such as {name}.mp4, found neither."
         )

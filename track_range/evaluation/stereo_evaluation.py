@@ -129,7 +129,8 @@ def _n_pairs(settings: StereoEvaluationSettings) -> int | None:
         )
     if is_kitti_2015(settings.pairs) and settings.truth:
         raise UsageError(
-            f"--truth: expected a drive or single pairs with files of objects, but {settings.pairs} "
+            "--truth: expected a drive or single pairs with files of objects, but "
+            f"{settings.pairs} "
             "has true disparities in KITTI 2015's layout."
         )
     if not is_kitti_2015(settings.pairs):

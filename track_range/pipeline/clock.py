@@ -12,8 +12,8 @@ _WALL_TIMED = ("detect",)  # stages that work in threads of a library, measured 
 
 
 def stage_names(optional: Collection[str] = ()) -> tuple[str, ...]:
-    """Names of the stages of a run in their order; each ranging method is a stage, an optional one if
-    it is named.
+    """Names of the stages of a run in their order; each ranging method is a stage, an optional one
+    if it is named.
     """
     return (*FIRST_STAGES, *(method.name for method in methods(optional)), *LAST_STAGES)
 

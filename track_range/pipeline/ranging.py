@@ -173,7 +173,9 @@ class RangingStage:
         )
 
     def _read_by(self, name: str, ranges: Mapping[str, Ranges]) -> dict[str, Ranges]:
-        """The distances that a method reads: what is only shown is for others that are only shown."""
+        """The distances that a method reads: what is only shown is for others that are only
+        shown.
+        """
         hidden = frozenset() if name in self.shown_only else self.shown_only
         read = [other for other in self._reads.get(name, ()) if other not in hidden]
         return {other: ranges[other] for other in read if other in ranges}

@@ -68,7 +68,8 @@ class ResultWriter(Protocol):
       itself, fails in the same frame, so that all files of a run end with the same frame.
     - `check_requirements()` raises a UserError, before the run begins, if the writer cannot be used, for example
       because a package is missing.
-    - `needs_images`: whether it needs more than the rows of a run, so that `export` cannot write its files.
+    - `needs_images`: whether it needs more than the rows of a run, so that `export` cannot write
+    its files.
     - `temporary_files` are names of files that exist only while the run is in progress, and remain if it is killed.
     """
 

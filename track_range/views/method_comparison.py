@@ -20,8 +20,8 @@ def comparison_grid(
     key: str,
     heading: str,
 ) -> Grid:
-    """A row per method of `paired_differences` of the figure `key`, with the number of boxes that each
-    measured; the best one is marked only if all others are worse than it.
+    """A row per method of `paired_differences` of the figure `key`, with the number of boxes that
+    each measured; the best one is marked only if all others are worse than it.
     """
     reference, methods = compared.get("reference"), compared.get("methods", {})
     is_best = len(methods) > 1 and all(

@@ -1,4 +1,5 @@
-"""Stereo networks of the user against the matchers, on real pairs with lidar on which nothing was chosen.
+"""Stereo networks of the user against the matchers, on real pairs with lidar on which nothing was
+chosen.
 
 KITTI-360 by default: 7 single pairs, of which 6 show 36 boxes of vehicles: 20 of a detector, and 16
 projected cuboids, partly of the same vehicles. Intervals are those of resampled pairs. All matchers

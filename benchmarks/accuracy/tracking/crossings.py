@@ -1,5 +1,5 @@
-"""Identity switches of simulated people and cars that cross, by the noise of the boxes and the motion
-of the camera; there are no images.
+"""Identity switches of simulated people and cars that cross, by the noise of the boxes and the
+motion of the camera; there are no images.
 """
 
 from __future__ import annotations

@@ -74,7 +74,8 @@ class DoctorOptions(Options):
     model: Annotated[
         Path | None,
         option(
-            "ONNX file: print what is understood of this depth network, stereo network or detector, "
+            "ONNX file: print what is understood of this depth network, stereo network "
+            "or detector, "
             "its size and its time, in place of the installation.",
             metavar="[MODEL]",
             is_argument=True,
@@ -83,7 +84,8 @@ class DoctorOptions(Options):
     image: Annotated[
         tuple[Path, ...],
         option(
-            "Image for MODEL, whose values are printed; twice for a stereo network, left and right.",
+            "Image for MODEL, whose values are printed; twice for a stereo network, "
+            "left and right.",
             metavar="FILE",
             is_repeated=True,
         ),

@@ -68,7 +68,8 @@ class FitOptions(FitSettings):
         Path | None,
         option(
             "Depth network whose distances are compared with KITTI tracking labels (--labels, "
-            "--calib) in their --images. Its factor in a drive, by class and track, its noise and its "
+            "--calib) in their --images. Its factor in a drive, by class and track, its "
+            "noise and its "
             "slope are written to MODEL.yaml beside the file, from which all later runs take them.",
             metavar="FILE.onnx",
         ),
@@ -77,7 +78,8 @@ class FitOptions(FitSettings):
         Path | None,
         option(
             "Labelled images for --detector-boxes, not used for training, with YOLO, KITTI or COCO "
-            "--labels: a folder, or the video of KITTI tracking labels. For --depth-model: a folder "
+            "--labels: a folder, or the video of KITTI tracking labels. For "
+            "--depth-model: a folder "
             "with the images or the video of each sequence, named like its labels.",
             metavar="DIR|FILE",
         ),
@@ -185,7 +187,8 @@ def _fit_depth_model(options: FitOptions, model: Path) -> None:
     ]
     if len(fitted.sequences) < _MIN_DRIVES:
         notes.append(
-            f"With {counted(len(fitted.sequences), 'sequence')}, the spread between drives is mostly "
+            f"With {counted(len(fitted.sequences), 'sequence')}, the spread between "
+            "drives is mostly "
             "that of networks in general; give more sequences."
         )
     print_notes(console, notes)

@@ -322,8 +322,8 @@ class RecordingCalibration:
         )
 
     def with_depth(self, frame: Frame, depth_m: FloatArray32 | None, left: Video) -> Frame:
-        """A frame with the depth (h, w) in m that was recorded of its left image, of the video `left`;
-        None = there is none.
+        """A frame with the depth (h, w) in m that was recorded of its left image, of the video
+        `left`; None = there is none.
         """
         if depth_m is None:
             return frame

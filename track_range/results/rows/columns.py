@@ -291,8 +291,8 @@ _TRUTH = (  # that are added to the rows where there is ground truth, and are in
 
 
 def result_columns(optional: Collection[str] | None = ()) -> tuple[ResultColumn, ...]:
-    """The columns of a run, in the order of tracks.csv; of optional methods only those that are named,
-    at the end (None = of all).
+    """The columns of a run, in the order of tracks.csv; of optional methods only those that are
+    named, at the end (None = of all).
 
     Raises MethodError: a method of another package has a column with the name of another one.
     """

@@ -1,4 +1,6 @@
-"""Options of a run for its ranging methods: which measure, networks that do, and which only show."""
+"""Options of a run for its ranging methods: which measure, networks that do, and which only
+show.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +14,8 @@ from track_range.foundation.schemas.options import Options, contradiction, optio
 
 _NETWORK_FILE = (
     "An ONNX file that is not understood on its own has a MODEL.yaml beside it, see "
-    "docs/how-to/networks.md and `track-range doctor FILE`; repeat the option for further networks, "
+    "docs/how-to/networks.md and `track-range doctor FILE`; repeat the option for "
+    "further networks, "
     "whose methods have the names of their files: {}-NAME"
 )
 
@@ -27,7 +30,8 @@ class RunMethodOptions(Options):
         tuple[str, ...],
         option(
             "Ranging methods of the run: mono, ground, lane, stereo, sgbm, expansion, methods of "
-            "installed packages, or MODULE:OBJECT, a RangingMethod of an installed package or (only "
+            "installed packages, or MODULE:OBJECT, a RangingMethod of an installed "
+            "package or (only "
             "on the command line) of a module in the current folder. Networks of --depth-model and "
             "--stereo-model are added (default: all that the recording allows).",
             metavar="A,B,...|MODULE:OBJECT",
@@ -37,8 +41,10 @@ class RunMethodOptions(Options):
     show_only: Annotated[
         tuple[str, ...],
         option(
-            "Ranging method that is shown beside the others, in all tables and in the overlay, but is "
-            "no part of the fused distance, nor of anything that follows from it; repeat the option "
+            "Ranging method that is shown beside the others, in all tables and in the "
+            "overlay, but is "
+            "no part of the fused distance, nor of anything that follows from it; "
+            "repeat the option "
             "for further methods.",
             metavar="NAME",
             is_repeated=True,
@@ -48,7 +54,8 @@ class RunMethodOptions(Options):
     depth_model: Annotated[
         tuple[Path, ...],
         option(
-            "Network that gives the depth of each pixel of one image, metric or relative: the method "
+            "Network that gives the depth of each pixel of one image, metric or "
+            "relative: the method "
             f"depth. {_NETWORK_FILE.format('depth')}.",
             metavar="FILE.onnx",
             is_repeated=True,

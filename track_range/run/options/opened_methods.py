@@ -73,7 +73,8 @@ def _named_detectors(options: RunMethodOptions) -> Iterator[None]:
         for flag, path in ((flag, path) for flag, paths in given.items() for path in paths):
             if _is_detector(path):
                 raise ModelError(
-                    f"{path}: expected a network that measures for {flag}, found a detector; give it "
+                    f"{path}: expected a network that measures for {flag}, found a "
+                    "detector; give it "
                     "by --detector."
                 ) from error
         raise
@@ -92,12 +93,14 @@ def _check_measurable(
 ) -> None:
     if method.name in NETWORK_METHODS and method.name not in networks:
         raise MethodError(
-            f"ranging method {method.name}: expected its network (--depth-model or --stereo-model), "
+            f"ranging method {method.name}: expected its network (--depth-model or "
+            "--stereo-model), "
             f"found {', '.join(networks) or 'none'}; give the file, or leave the method out."
         )
     for need in sorted(method.needs - context.available):
         raise MethodError(
-            f"ranging method {method.name}: expected {_LACKS.get(need, need)}; give it, or leave the "
+            f"ranging method {method.name}: expected {_LACKS.get(need, need)}; give it, "
+            "or leave the "
             "method out of this run."
         )
 
@@ -105,8 +108,8 @@ def _check_measurable(
 def fused_methods(ranging: RangingStage) -> list[RangingMethod]:
     """The methods of the error model of fusion: optional ones only if they are fused in this run.
 
-    Those that all runs know stay in it, also where they are not measured: correlations depend on the
-    methods of the model, and the distances of the others would change.
+    Those that all runs know stay in it, also where they are not measured: correlations depend on
+    the methods of the model, and the distances of the others would change.
     """
     fused = ranging.rangers.keys() - ranging.shown_only
     return [*methods(fused)]

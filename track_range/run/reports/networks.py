@@ -20,7 +20,9 @@ class Networks(Reports):
     rows: RunRows
 
     def summary(self) -> Mapping[str, Any]:
-        """Each network with its method, and how its file is understood; its time in ms per frame."""
+        """Each network with its method, and how its file is understood; its time in ms per
+        frame.
+        """
         times_ms = stage_times_ms(self.clock.busy_s, len(self.rows))
         networks = [
             {

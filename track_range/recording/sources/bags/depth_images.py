@@ -3,7 +3,8 @@
 16UC1, mono16                 millimetres (REP 118), or RealSense's depth units if a topic states them
 32FC1                         metres
 ...; compressedDepth png      a header of 12 bytes and a PNG of millimetres, or of quantised inverse depth
-                              z = a / (count - b) with a and b of the header (image_transport_plugins)
+                              z = a / (count - b) with a and b of the header
+                              (image_transport_plugins)
 
 Depth counts only for the camera whose images are read: aligned to its images by the camera, or from
 the same view. A topic of another view is refused with what to record.
@@ -74,8 +75,8 @@ class DepthImages:
         self._last_s = np.inf
 
     def at(self, time_s: float) -> FloatArray32 | None:
-        """(h, w) depth in metres of the image at a time, as seconds of the file, NaN = unknown; None
-        = there is none within half a frame, or it is damaged.
+        """(h, w) depth in metres of the image at a time, as seconds of the file, NaN = unknown;
+        None = there is none within half a frame, or it is damaged.
         """
         if time_s <= self._last_s:  # a new pass
             self._waiting, self._near = self._messages(time_s - 1.0), []
@@ -203,7 +204,8 @@ def _wrong_unit(reader: DepthImages, bag: Bag) -> str:
             return f"expected metres (32FC1), found a median of {median_m:.0f}, as of millimetres"
         if not is_float and median_m < _NEAR_M:
             return (
-                f"expected millimetres (16UC1), found a median of {1000 * median_m:.0f}, as of another "
+                "expected millimetres (16UC1), found a median of "
+                f"{1000 * median_m:.0f}, as of another "
                 "unit"
             )
         return ""
