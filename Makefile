@@ -32,11 +32,17 @@ $(VENV)/.opencv4: | $(BIN)/python
 	$(VENV)/opencv4/bin/python -m pip install --quiet 'opencv-python-headless>=4.10,<5'
 	touch $@
 
+# ASAM's checkers require a NumPy before 2.
+$(VENV)/.validators: | $(BIN)/python
+	$(PYTHON) -m venv $(VENV)/validators
+	$(VENV)/validators/bin/python -m pip install --quiet 'asam-qc-opendrive>=1,<2' 'asam-qc-openscenarioxml>=1,<2'
+	touch $@
+
 $(VENV)/.docs: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --editable '.[docs]'
 	touch $@ $(VENV)/.runtime
 
-setup: $(VENV)/.dev $(VENV)/.opencv4
+setup: $(VENV)/.dev $(VENV)/.opencv4 $(VENV)/.validators
 
 demo: $(VENV)/.runtime
 	$(BIN)/track-range demo --out out/demo
@@ -46,7 +52,7 @@ test: $(VENV)/.dev
 	$(PYTEST) -m 'not ($(SLOW_TIERS))'
 
 # The tiers that `make test` leaves out; tests/tiers.py says what they are.
-test-slow: $(VENV)/.dev $(VENV)/.opencv4
+test-slow: $(VENV)/.dev $(VENV)/.opencv4 $(VENV)/.validators
 	$(PYTEST) -m '$(SLOW_TIERS)'
 
 test-all: test test-slow
