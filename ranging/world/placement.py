@@ -26,7 +26,6 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.filtering.lateral_motion import LateralMotion
 from track_range.ranging.measurement.ranges import Ranges
-from track_range.ranging.size_models.class_sizes import ClassSizes
 from track_range.ranging.world.object_motion import RATE_FACTOR
 from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.odometry.ego_motion import EgoMotion
@@ -58,9 +57,9 @@ class PointStates:
         from_camera_m, velocity_mps = self.position_m @ R.T, self.velocity_mps @ R.T
         return PointStates(
             from_camera_m + mounting.place_m,
-            R @ self.covariance_m2 @ R.T + _of_turn(from_camera_m, sigma_rad),
+            R @ self.covariance_m2 @ R.T + of_turn(from_camera_m, sigma_rad),
             velocity_mps,
-            R @ self.velocity_covariance_m2ps2 @ R.T + _of_turn(velocity_mps, sigma_rad),
+            R @ self.velocity_covariance_m2ps2 @ R.T + of_turn(velocity_mps, sigma_rad),
         )
 
 
@@ -78,7 +77,6 @@ class Placement:
     unobserved_s: FloatArray  # (N,) since its last detection; 0 = in this frame
     vehicle_m: FloatArray  # (N, 3) the same points in the axes of the vehicle
     mounting: Mounting | None = None  # of the view; None = unknown
-    sizes: ClassSizes | None = None  # None = unknown
 
     @classmethod
     def unknown(cls, n: int) -> Placement:
@@ -86,13 +84,6 @@ class Placement:
         nan = np.full(n, np.nan)
         points = np.full((n, 3), np.nan)
         return cls(points, points[:, :2], nan, nan, nan, nan, points)
-
-    def sizes_of(self, class_id: IntArray) -> ClassSizes:
-        """Sizes of the classes of N tracks, (N, 3) each."""
-        if self.sizes is None:
-            unknown = np.full((len(class_id), 3), np.nan)
-            return ClassSizes(unknown, unknown)
-        return ClassSizes(self.sizes.lwh_m[class_id], self.sizes.sigma_m[class_id])
 
     def in_camera(self, sigma_m: FloatArray, rate: tuple[FloatArray, FloatArray]) -> PointStates:
         """States in the axes of the camera: right, down, forward; `sigma_m` (N,) is that of the
@@ -128,7 +119,7 @@ def point_covariance(xyz_m: FloatArray, xy_sigma_m: FloatArray, sigma_m: FloatAr
     return np.asarray(covariance)
 
 
-def _of_turn(vectors: FloatArray, sigma_rad: float) -> FloatArray:
+def of_turn(vectors: FloatArray, sigma_rad: float) -> FloatArray:
     """(N, 3, 3) covariances of vectors (N, 3) by errors of three angles."""
     outer = vectors[:, :, None] * vectors[:, None, :]
     squared = (vectors * vectors).sum(axis=1)[:, None, None]
@@ -138,9 +129,9 @@ def _of_turn(vectors: FloatArray, sigma_rad: float) -> FloatArray:
 class Placements:
     """Places the tracks of a drive frame by frame; it remembers since when each is known."""
 
-    def __init__(self, mounting: Mounting | None = None, sizes: ClassSizes | None = None) -> None:
+    def __init__(self, mounting: Mounting | None = None) -> None:
         """`mounting` is that of the view; None = unknown, and so are the vehicle's axes."""
-        self._mounting, self._sizes = mounting, sizes
+        self._mounting = mounting
         self._tracks = TrackState(np.full(2, np.nan))  # first frame and last detection
 
     def update(
@@ -182,7 +173,6 @@ class Placements:
             unobserved_s=time_s - last_s,
             vehicle_m=np.full_like(xyz_m, np.nan),
             mounting=self._mounting,
-            sizes=self._sizes,
         )
         if self._mounting is None:
             return placement

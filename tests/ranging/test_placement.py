@@ -118,8 +118,6 @@ def test_sizes_are_those_of_the_size_model():
     assert 1.4 < height_m < 2.0
     assert (sizes.sigma_m[2] / sizes.lwh_m[2] < 0.2).all()
     assert np.isnan(ClassSizes.of(object()).lwh_m).all()
-    placement = replace(Placement.unknown(2), sizes=sizes)
-    np.testing.assert_array_equal(placement.sizes_of(np.array([2, 0])).lwh_m, sizes.lwh_m[[2, 0]])
 
 
 @pytest.mark.parametrize("n", [0, 1])

@@ -136,6 +136,7 @@ MOST_STATEMENTS = {
     # dense maps in threads and in metres, stereo networks, recorded depth (170)
     # networks that one road user contradicts (3)
     # a wrong scale of disparities, and metres that few pixels can be (36)
+    # cuboids with covariances in three frames (50)
     "ranging": 10_251,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
@@ -226,6 +227,7 @@ MOST_STATEMENTS = {
     # a camera that stands still (17)
     # methods that are only shown (15)
     # fused methods do not read those that are only shown (4)
+    # places of cuboids, one by one (12)
     "pipeline": 1_228,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);

@@ -23,6 +23,7 @@ from track_range.ranging.measurement.dense_map import DenseMap
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.warning.safety import SafetyMeasures
 from track_range.ranging.warning.warnings import Warnings
+from track_range.ranging.world.cuboids import CuboidPlaces, Cuboids
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
 from track_range.ranging.world.placement import PointStates, point_covariance
@@ -55,6 +56,22 @@ class PointState:
     velocity_covariance_m2ps2: Matrix3 = (_NAN3, _NAN3, _NAN3)
 
 
+@dataclass(frozen=True, slots=True)
+class CuboidPlace:
+    """Centre and direction of a cuboid in one set of axes; NaN = unknown.
+
+    Attributes:
+        centre_m: its centre.
+        covariance_m2: (3, 3) of the centre, row by row.
+        yaw_deg: direction of its front from the axis that points forward, counterclockwise seen
+            from above.
+    """
+
+    centre_m: Vector3 = _NAN3
+    covariance_m2: Matrix3 = (_NAN3, _NAN3, _NAN3)
+    yaw_deg: float = math.nan
+
+
 def _rows(matrix: Any) -> Matrix3:
     """A list of lists as a matrix."""
     first, second, third = map(tuple, matrix)
@@ -72,6 +89,15 @@ def _point_states(states: PointStates) -> Iterable[PointState]:
             states.velocity_covariance_m2ps2.tolist(),
             strict=True,
         )
+    )
+
+
+def _cuboid_places(places: CuboidPlaces) -> Iterable[CuboidPlace]:
+    """The centres and directions one by one."""
+    centres, matrices = places.centre_m.tolist(), places.covariance_m2.tolist()
+    return (
+        CuboidPlace(tuple(centre), _rows(matrix), yaw_deg)
+        for centre, matrix, yaw_deg in zip(centres, matrices, places.yaw_deg.tolist(), strict=True)
     )
 
 
@@ -110,11 +136,19 @@ class TrackedObject:
         ttc_sigma_s: standard deviation of `ttc_s`.
         speed_sigma_mps: standard deviation of `speed_mps`.
         gap_m: distance from the front of the ego vehicle; NaN without warnings.
-        size_m: typical length, width and height of its class in the region, not measured.
-        size_sigma_m: their standard deviations within the class.
+        size_m: length, width and height of its cuboid, by its class and its views.
+        size_sigma_m: their standard deviations.
         score: confidence of the detection, 0 to 1; it decays while the box is predicted.
         age_s: time since the first frame of the track.
         unobserved_s: time since its last detection; 0 = in this frame.
+        yaw_sigma_deg: standard deviation of the yaw of its cuboid, modulo 180 where the front is not
+            known.
+        front_known: whether front and back of the cuboid are told apart; else its yaw may be turned
+            by 180 degrees.
+        cuboid_in_camera: centre and yaw of the cuboid in the axes of the left camera.
+        cuboid_in_vehicle: the same in the axes of the vehicle; NaN without a `mount`.
+        cuboid_in_world: the same in the frame `map`; NaN without an ego speed, z also without the
+            height of the camera.
     """
 
     id: int
@@ -145,6 +179,11 @@ class TrackedObject:
     score: float = math.nan
     age_s: float = math.nan
     unobserved_s: float = math.nan
+    yaw_sigma_deg: float = math.nan
+    front_known: bool = False
+    cuboid_in_camera: CuboidPlace = field(default_factory=CuboidPlace, repr=False)
+    cuboid_in_vehicle: CuboidPlace = field(default_factory=CuboidPlace, repr=False)
+    cuboid_in_world: CuboidPlace = field(default_factory=CuboidPlace, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,12 +286,17 @@ class FrameResult:
         yield self.ttc_sigma_s.tolist()
         yield self.motion.speed_sigma_mps.tolist()
         yield self.safety.gap_m.tolist()
-        sizes = placement.sizes_of(self.tracks.class_id)
-        yield map(tuple, sizes.lwh_m.tolist())
-        yield map(tuple, sizes.sigma_m.tolist())
+        cuboids = self.cuboids
+        yield map(tuple, cuboids.lwh_m.tolist())
+        yield map(tuple, cuboids.lwh_sigma_m.tolist())
         yield self.tracks.score.tolist()
         yield placement.age_s.tolist()
         yield placement.unobserved_s.tolist()
+        yield cuboids.yaw_sigma_deg.tolist()
+        yield cuboids.front_known.tolist()
+        yield _cuboid_places(cuboids.in_camera)
+        yield _cuboid_places(cuboids.in_vehicle(placement.mounting))
+        yield _cuboid_places(cuboids.in_world(self.ego_pose, placement.mounting))
 
     @property
     def in_camera(self) -> PointStates:
@@ -306,6 +350,11 @@ class FrameResult:
         fused distance; NaN = unknown.
         """
         return self.world.xyz_m
+
+    @property
+    def cuboids(self) -> Cuboids:
+        """Sizes, headings and centres of the cuboids of the tracks."""
+        return self.world.cuboids
 
     @property
     def motion(self) -> ObjectMotion:

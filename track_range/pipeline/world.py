@@ -13,6 +13,7 @@ from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.size_models.class_sizes import ClassSizes
 from track_range.ranging.size_models.size_model import BoxNoise
+from track_range.ranging.world.cuboids import CuboidEstimator, Cuboids
 from track_range.ranging.world.ego_path import EgoPath, EgoPose
 from track_range.ranging.world.object_motion import ObjectMotion, ObjectMotions
 from track_range.ranging.world.placement import Placement, Placements
@@ -34,6 +35,7 @@ class World:
     motion: ObjectMotion  # over ground, and positions in the frame `map`
     ego_pose: EgoPose  # of the left camera in the frame `map`
     placement: Placement  # at the filtered distances, relative to the camera and to the vehicle
+    cuboids: Cuboids  # sizes, headings and centres
 
     @classmethod
     def unknown(cls, n: int) -> "World":
@@ -45,6 +47,7 @@ class World:
             ObjectMotion.unknown(n),
             EgoPose(),
             Placement.unknown(n),
+            Cuboids.unknown(n),
         )
 
 
@@ -70,7 +73,8 @@ class WorldStage:
         self._is_ahead = looks_ahead(mounting)
         axis_deg = 0.0 if mounting is None else mounting.yaw_deg
         self._path, self._motions = EgoPath(), ObjectMotions(math.radians(axis_deg))
-        self._placements = Placements(mounting, sizes)
+        self._placements = Placements(mounting)
+        self._cuboids = CuboidEstimator(mounting, sizes)
 
     def update(
         self,
@@ -105,7 +109,8 @@ class WorldStage:
             lateral=lateral,
             ego=ego,
         )
-        return World(rays * distance_m, xy_sigma_m, motion, pose, placement)
+        cuboids = self._cuboids.update(tracks, camera, placement, ranges["fused_kf"], motion, pose)
+        return World(rays * distance_m, xy_sigma_m, motion, pose, placement, cuboids)
 
     def _moved(
         self,

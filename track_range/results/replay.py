@@ -19,6 +19,7 @@ from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.registry import methods as ranging_methods
 from track_range.ranging.warning.safety import SafetyMeasures
 from track_range.ranging.warning.warnings import Warnings
+from track_range.ranging.world.cuboids import Cuboids
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import ObjectMotion
 from track_range.ranging.world.placement import Placement
@@ -54,7 +55,7 @@ def frames_of_rows(
 
 PARTS = (
     *("tracks", "frame", "ego", "approach"),
-    *("world.motion", "world.placement", "alarms.warnings", "alarms.safety"),
+    *("world.motion", "world.placement", "world.cuboids", "alarms.warnings", "alarms.safety"),
 )
 """Places in a `FrameResult` of the parts that are made from columns; distances and positions are made
 besides."""
@@ -131,6 +132,7 @@ class _Frames:
                 ObjectMotion(**parts["world.motion"]),
                 pose,
                 replace(Placement.unknown(last - first), **columns),
+                Cuboids(**parts["world.cuboids"]),
             ),
             alarms=Alarms(warnings, safety, self._has_warnings, self._has_safety),
             ego=EgoMotion(**ego),

@@ -32,7 +32,12 @@ CONTRACT = (
     "speed_mps,speed_sigma_mps,heading_deg,world_x_m,world_y_m,state,"
     "gap_m,ttc_front_s,headway_s,drac_mps2,mdrac_mps2,tet_s,tit_s2,lane_index,lane_index_sigma,is_lead,"
     "expansion_ttc_s,expansion_ttc_sigma_s,state_probability,"
-    "lateral_mps,lateral_sigma_mps,vehicle_x_m,vehicle_y_m,vehicle_z_m,is_cut"
+    "lateral_mps,lateral_sigma_mps,vehicle_x_m,vehicle_y_m,vehicle_z_m,is_cut,"
+    "length_m,length_sigma_m,width_m,width_sigma_m,height_m,height_sigma_m,"
+    "yaw_deg,yaw_sigma_deg,front_known,centre_x_m,centre_x_sigma_m,centre_y_m,centre_y_sigma_m,"
+    "centre_z_m,centre_z_sigma_m,centre_xy_correlation,centre_xz_correlation,"
+    "centre_yz_correlation,centre_vehicle_x_m,centre_vehicle_y_m,centre_vehicle_z_m,"
+    "centre_world_x_m,centre_world_y_m,centre_world_z_m"
 ).split(",")
 
 
@@ -51,9 +56,9 @@ def test_fixed_columns():
 def test_sigmas_follow_their_values():
     names = column_names()
     sigmas = [name for name in names if "_sigma_" in name]
-    # of nine distances, x and y, closing and lateral speed, two times to collision, and speed over
-    # ground
-    assert len(sigmas) == 16
+    # of nine distances, x and y, closing and lateral speed, two times to collision, speed over
+    # ground, and the size, yaw and centre of the cuboid
+    assert len(sigmas) == 23
     assert [names[names.index(sigma) - 1] for sigma in sigmas] == [
         sigma.replace("_sigma", "") for sigma in sigmas
     ]

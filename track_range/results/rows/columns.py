@@ -284,6 +284,65 @@ _LATER = (  # that were added after all others: readers by position keep their c
     ),
 )
 
+_CUBOIDS = (
+    *(
+        ResultColumn(f"{side}{part}_m", "m", f"world.cuboids.lwh{part}_m.{axis}", meaning)
+        for axis, side in enumerate(("length", "width", "height"))
+        for part, meaning in (("", f"{side} of the object, the [cuboid]"), ("_sigma", _SIGMA))
+    ),
+    ResultColumn(
+        "yaw_deg",
+        "deg",
+        "world.cuboids.yaw_deg",
+        "direction of the front of the cuboid from the axis of the camera, counterclockwise seen "
+        "from above, -180 to 180; 0 = it drives as the camera looks",
+        decimals=2,
+    ),
+    ResultColumn(
+        "yaw_sigma_deg",
+        "deg",
+        "world.cuboids.yaw_sigma_deg",
+        "its standard deviation, modulo 180 where `front_known` is 0",
+        decimals=2,
+    ),
+    ResultColumn(
+        "front_known",
+        "",
+        "world.cuboids.front_known",
+        "1 = front and back are told apart; 0 = `yaw_deg` may be turned by 180 degrees",
+        "flag",
+    ),
+    *(
+        ResultColumn(f"centre_{axis}{part}_m", "m", f"world.cuboids.centre{part}_m.{i}", meaning)
+        for i, (axis, place) in enumerate(
+            (("x", "right of"), ("y", "below"), ("z", "in front of, along the axis of"))
+        )
+        for part, meaning in (
+            ("", f"{axis} of the centre of the cuboid ({place} the camera)"),
+            ("_sigma", _SIGMA),
+        )
+    ),
+    *(
+        ResultColumn(
+            f"centre_{axes}_correlation",
+            "",
+            f"world.cuboids.centre_correlation.{i}",
+            f"correlation of the errors of {axes[0]} and {axes[1]} of the centre",
+            decimals=4,
+        )
+        for i, axes in enumerate(("xy", "xz", "yz"))
+    ),
+    *(
+        ResultColumn(f"centre_{frame}_{axis}_m", "m", f"world.cuboids.{frame}_m.{i}", meaning)
+        for frame, where, unknown in (
+            ("vehicle", "in the axes of the [vehicle]", "without a mounting"),
+            ("world", "in the frame [map]", "without an ego speed"),
+        )
+        for i, axis in enumerate("xyz")
+        for meaning in (f"{axis} of the same centre {where}; empty {unknown}",)
+    ),
+)
+
 _TRUTH = (  # that are added to the rows where there is ground truth, and are in no file
     ResultColumn("truth_m", "m", "", "true distance"),
     ResultColumn("scored_truth_m", "m", "", "the same of objects that count for the errors"),
@@ -306,7 +365,16 @@ def result_columns(optional: Collection[str] | None = ()) -> tuple[ResultColumn,
         method for method in built_in if not method.measures_distance
     )
     others = _method_columns(_others(optional))
-    all_columns = (*columns, *own, *_MOTION, *_SAFETY, *without_distance, *_LATER, *others)
+    all_columns = (
+        *columns,
+        *own,
+        *_MOTION,
+        *_SAFETY,
+        *without_distance,
+        *_LATER,
+        *_CUBOIDS,
+        *others,
+    )
     _check_names(column.name for column in all_columns)
     return all_columns
 
