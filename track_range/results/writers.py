@@ -34,6 +34,7 @@ FILES_OF_WRITERS: Mapping[str, str] = {  # of this package, for help texts
     "rrd": "run.rrd, for Rerun",
     "openscenario": "run.xosc, trajectories for simulators",
     "depth": "depth.tar, depth of all pixels as 16-bit PNGs",
+    "mf4": "run.mf4, ASAM MDF4 for CANape, MATLAB and asammdf",
 }
 
 _RUN_FILES = (  # besides those of its writers
@@ -103,6 +104,7 @@ WRITERS: Registry[WriterFactory | str] = Registry(  # imported on first use
         "rrd": "track_range.results.formats.rerun_file:RerunWriter",
         "openscenario": "track_range.results.formats.openscenario_file:OpenScenarioWriter",
         "depth": "track_range.results.formats.depth_file:DepthWriter",
+        "mf4": "track_range.results.formats.adas.mdf_file:MdfWriter",
     },
 )
 

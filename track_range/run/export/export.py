@@ -59,6 +59,7 @@ MARKS: Mapping[str, bytes] = {
     "mcap": b"\x89MCAP",
     "rrd": b"RRF",
     "openscenario": b"<?xml",
+    "mf4": b"MDF     ",
 }
 """First bytes of the files that only result writers write, from the rows of a run."""
 
