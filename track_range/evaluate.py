@@ -9,6 +9,7 @@ from track_range.api.lazy_names import LazyNames
 # ruff: noqa: F401  # type checkers and the documentation read the names below
 if TYPE_CHECKING:
     from track_range.api.evaluation import (
+        evaluate_cuboids as cuboids,
         evaluate_events as events,
         evaluate_motion as motion,
         evaluate_ranges as ranges,
@@ -27,7 +28,7 @@ _NAMES = LazyNames(
     __name__,
     {
         "track_range.api.evaluation": "tracks=evaluate_tracks ranges=evaluate_ranges stereo=evaluate_stereo "
-        "motion=evaluate_motion events=evaluate_events run=evaluate_run",
+        "motion=evaluate_motion cuboids=evaluate_cuboids events=evaluate_events run=evaluate_run",
         "track_range.detection.evaluation": "detections=evaluate_detections",
         "track_range.detection.evaluation.object_sizes": "detections_by_size=evaluate_by_size",
         "track_range.detection.evaluation.score_calibration": "score_calibration=evaluate_calibration",

@@ -200,9 +200,17 @@ def distance_statistics(
         "median_relative_error_pct": Statistic(size, 0.5, 100),
         "bias_pct": Statistic(error, 0.5, 100),
         "within_25_percent": Statistic(np.where(np.isfinite(size), size <= _GROSS_ERROR, np.nan)),
+        "delta_1_25": Statistic(np.where(np.isfinite(size), _are_in_delta_1(error), np.nan)),
         **within_sigmas(in_sigmas),
         "median_sigma_pct": Statistic(sigma_m / distance_m, 0.5, 100),
     }
+
+
+def _are_in_delta_1(error: FloatArray) -> BoolArray:
+    """(N,) whether the larger ratio of the measured and the true distance is below 1.25, which is
+    what published evaluations call delta 1.
+    """
+    return np.asarray((1 + error < 1 + _GROSS_ERROR) & (1 + error > 1 / (1 + _GROSS_ERROR)))
 
 
 def within_sigmas(in_sigmas: FloatArray, limits: Sequence[int] = (1, 2)) -> dict[str, Statistic]:

@@ -84,6 +84,8 @@ class BoxSet:
     distance_m: FloatArray  # (N,) true distance
     alpha_rad: FloatArray  # (N,) observation angle: -pi/2 = seen from behind
     x_m: FloatArray  # (N,) lateral offset
+    # (N, 3) bottom centre of the 3-D box in the frame of the left camera; NaN = no 3-D box
+    location_m: FloatArray
     size_hwl_m: FloatArray  # (N, 3) height, width, length of the 3-D box; NaN = no 3-D box
     rotation_y_rad: FloatArray  # (N,) yaw of the 3-D box; NaN = no 3-D box
     occluded: IntArray  # (N,) 0 = fully visible, 1 = partly occluded
@@ -117,6 +119,7 @@ class BoxSet:
             **columns,
             alpha_rad=nan,
             x_m=nan,
+            location_m=size_hwl_m,
             size_hwl_m=size_hwl_m,
             rotation_y_rad=nan,
             occluded=occluded,
@@ -345,6 +348,7 @@ def _rows(
         size_hwl_m=labels.size_hwl_m,
         rotation_y_rad=labels.rotation_y_rad,
         occluded=labels.occluded,
+        location_m=location_m + shift_m,
     )
 
 

@@ -29,6 +29,7 @@ def made_up_boxes(name, wh_over_f, bearing, distance_m, *, sequence, track_id=No
         "distance_m": distance_m,
         "alpha_rad": nan,
         "x_m": nan,
+        "location_m": np.full((n, 3), np.nan),
         "size_hwl_m": np.full((n, 3), np.nan),
         "rotation_y_rad": nan,
         "occluded": np.zeros(n, np.int64),

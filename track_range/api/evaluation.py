@@ -10,8 +10,12 @@ from track_range.calibration.settings import StereoEvaluationSettings
 from track_range.evaluation.events.evaluate import evaluate_events as _evaluate_events
 from track_range.evaluation.events.settings import EventEvaluationSettings
 from track_range.evaluation.limits import CheckSettings, check as _check
+from track_range.evaluation.motion.cuboids import evaluate_cuboids as _evaluate_cuboids
 from track_range.evaluation.motion.evaluate import evaluate_motion as _evaluate_motion
-from track_range.evaluation.motion.settings import MotionEvaluationSettings
+from track_range.evaluation.motion.settings import (
+    CuboidEvaluationSettings,
+    MotionEvaluationSettings,
+)
 from track_range.evaluation.range_evaluation import evaluate_ranges as _evaluate_ranges
 from track_range.evaluation.run_evaluation import (
     RunEvaluationSettings,
@@ -97,6 +101,24 @@ def evaluate_motion(labels: str | Path, **options: Any) -> dict[str, Any]:
         LabelFileError, RigError: a file cannot be used.
     """
     return _evaluate_motion(MotionEvaluationSettings.of({"labels": labels, **options}))
+
+
+@KeywordsInErrors(CuboidEvaluationSettings)
+def evaluate_cuboids(labels: str | Path, **options: Any) -> dict[str, Any]:
+    """Errors of sizes, headings, centres and nearest sides of measured 3-D boxes; like `track-range
+    evaluate cuboids --json`.
+
+    Args:
+        labels: folder of KITTI tracking labels, or the labels of another data set
+            (`data="nuscenes"`).
+        options: options of the command, with underscores: `calib="calib"`, `poses="poses"`,
+            `noise_px=2`.
+
+    Raises:
+        UsageError: an option is unknown, invalid or missing.
+        LabelFileError, RigError: a file cannot be used.
+    """
+    return _evaluate_cuboids(CuboidEvaluationSettings.of({"labels": labels, **options}))
 
 
 @KeywordsInErrors(StereoEvaluationSettings)

@@ -18,8 +18,8 @@ from track_range.ranging.truth.errors import within_sigmas
 
 _DISTANCES_M = ((5, 10), (10, 20), (20, 40), (40, 80))
 _OWN_SPEEDS_MPS = {"0-0.5": (0.0, 0.5), "0.5-2": (0.5, 2.0), "2-6": (2.0, 6.0), "6-": (6.0, np.inf)}
-_MOVING_MPS = 1.0  # smallest own speed of an object that certainly moves in the labels
-_CLASSES = {
+MOVING_MPS = 1.0  # smallest own speed of an object that certainly moves in the labels
+CLASSES = {
     "vehicles": ("car", "van", "truck", "bus"),
     "people": ("person",),
     "cyclists": ("bicycle", "motorcycle"),
@@ -60,7 +60,7 @@ def cell_figures(
 def motion_cells(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, BoolArray]:
     """Masks (N,) of the boxes, by the name of the cell."""
     boxes, own_mps = truth.boxes, truth.speed_mps
-    is_moving = own_mps > _MOVING_MPS
+    is_moving = own_mps > MOVING_MPS
     at = {f"{low}-{high} m": between(boxes.distance_m, low, high) for low, high in _DISTANCES_M}
     is_turn = np.abs(truth.yaw_rad_s) > _TURN_RAD_S
     is_speed_known = np.isfinite(measured.ego_mps)
@@ -79,7 +79,7 @@ def motion_cells(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, B
             for name, limits in _OWN_SPEEDS_MPS.items()
         },
         "believed static": measured.static > _BELIEVED,
-        **{name: np.isin(boxes.class_name, listed) for name, listed in _CLASSES.items()},
+        **{name: np.isin(boxes.class_name, listed) for name, listed in CLASSES.items()},
         "camera stands": np.abs(truth.ego_mps) < _STANDING_MPS,
     }
 

@@ -15,7 +15,7 @@ from track_range.evaluation.motion.labelled_motion import LabelledMotion
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.errors import UsageError
-from track_range.pipeline.filtering import FilterStage
+from track_range.pipeline.filtering import Filtered, FilterStage
 from track_range.pipeline.ranging import FrameRanges
 from track_range.ranging.evaluation.box_frames import as_frames, ranges_in_frame
 from track_range.ranging.evaluation.box_methods import (
@@ -24,11 +24,10 @@ from track_range.ranging.evaluation.box_methods import (
     measured_by,
 )
 from track_range.ranging.filtering.distance_filter import FilteredRanges, time_to_collision
-from track_range.ranging.filtering.lateral_motion import LateralMotion
-from track_range.ranging.fusion.fusion import Fusion
-from track_range.ranging.measurement.ranges import Ranges
+from track_range.ranging.fusion.fusion import Fused, Fusion
 from track_range.ranging.registry import method_of
 from track_range.ranging.truth.errors import MethodColumn
+from track_range.ranging.truth.labelled_boxes import BoxSet
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import ObjectMotions
@@ -104,21 +103,16 @@ def measured_motion(
     With `look_ahead`, closing speeds and times to collision use all frames of a sequence, instead
     of the frames so far.
     """
-    names = [method_of(part).name if ":" in part else part for part in method.split("+")]
-    known = [listed.name for listed in box_methods()]
-    if not set(names) <= set(known):
-        raise UsageError(
-            f"--methods {method}: expected {' or '.join(known)}, or several methods joined by +."
-        )
     boxes = motion.boxes
-    columns = measured_by(names, boxes, boxes, options)
+    columns = columns_of(boxes, method, options)
     values, is_alarm = np.full((11, len(boxes)), np.nan), np.zeros(len(boxes), np.bool_)
     forward = np.full((6, len(boxes)), np.nan)
     warnings = {number: CollisionWarning() for number in np.flatnonzero(motion.are_ahead).tolist()}
     motions = {
         number: ObjectMotions(axis_rad) for number, axis_rad in enumerate(motion.axis_rad.tolist())
     }
-    for rows, tracks, ego, fused, state, lateral in _filtered(motion, columns, is_ego_known):
+    for rows, tracks, ego, fused, filtered in filtered_frames(motion, columns, is_ego_known):
+        state, lateral = filtered.fused, filtered.lateral
         sequence = int(boxes.sequence[rows[0]])
         time_s = float(boxes.time_s[rows[0]])
         if sequence in warnings:
@@ -129,7 +123,7 @@ def measured_motion(
                 time_s,
                 ego_mps=ego.speed_mps,
                 yaw_rad_s=ego.yaw_rad_s,
-                ranges=fused,
+                ranges=fused.ranges,
             )
             is_alarm[rows] = alarm.active
         world = motions[sequence].update(
@@ -146,13 +140,28 @@ def measured_motion(
     return MeasuredMotion(is_alarm, *values)
 
 
-def _filtered(
+def columns_of(
+    boxes: BoxSet, method: str, options: MethodOptions | None
+) -> dict[str, MethodColumn]:
+    """Distances of the boxes by the name of each method that is joined in `method`; UsageError if
+    one is unknown.
+    """
+    names = [method_of(part).name if ":" in part else part for part in method.split("+")]
+    known = [listed.name for listed in box_methods()]
+    if not set(names) <= set(known):
+        raise UsageError(
+            f"--methods {method}: expected {' or '.join(known)}, or several methods joined by +."
+        )
+    return measured_by(names, boxes, boxes, options)
+
+
+def filtered_frames(
     motion: LabelledMotion,
     columns: Mapping[str, MethodColumn],
     is_ego_known: bool,
     *,
     sign: int = 1,
-) -> Iterator[tuple[IntArray, Tracks, EgoMotion, Ranges, FilteredRanges, LateralMotion]]:
+) -> Iterator[tuple[IntArray, Tracks, EgoMotion, Fused, Filtered]]:
     """Row indices, tracks, ego motion, fused distances and filtered motion of each frame; `sign`
     -1 = backwards in time.
     """
@@ -166,8 +175,13 @@ def _filtered(
         ranges = {name: ranges_in_frame(column, tracks, rows) for name, column in columns.items()}
         time_s = sign * frame.time_s
         fused = fusion.fuse(ranges, tracks.track_id, time_s)
-        filtered = stage.update(tracks, FrameRanges(ranges), fused, ego, time_s)
-        yield rows, tracks, ego, fused.ranges, filtered.fused, filtered.lateral
+        yield (
+            rows,
+            tracks,
+            ego,
+            fused,
+            stage.update(tracks, FrameRanges(ranges), fused, ego, time_s),
+        )
 
 
 def _ego_motion(motion: LabelledMotion, row: int, sign: int) -> EgoMotion:
@@ -200,8 +214,8 @@ def _with_look_ahead(
     a filter backwards in time.
     """
     backward = np.full_like(forward, np.nan)
-    for rows, _, _, _, filtered, _ in _filtered(motion, columns, is_ego_known, sign=-1):
-        backward[:, rows] = _state(filtered)
+    for rows, *_, filtered in filtered_frames(motion, columns, is_ego_known, sign=-1):
+        backward[:, rows] = _state(filtered.fused)
     state = combined(ConstantVelocity(*forward[:5]), ConstantVelocity(*backward[:5]))
     sigma_mps = np.sqrt(state.P_vv + np.fmin(forward[5], backward[5]))
     variances = (state.P_xx, state.P_xv, state.P_vv)

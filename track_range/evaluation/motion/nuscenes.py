@@ -75,9 +75,10 @@ def _labels(content: Any) -> Mono3dLabels:
     size_hwl_m = np.stack([height_m, width_m, length_m], axis=1)
     left, top, width, height = np.array([row["bbox"] for row in rows]).T
     rays = np.stack([left + width / 2, top + height / 2, np.ones(len(rows))], axis=1)
+    location_m = np.stack([x_m, y_m + height_m / 2, z_m], axis=1)  # the labels have the centre
     distance_m = surface_distance_m(
         np.linalg.solve(K, rays[:, :, None])[:, :, 0],
-        np.stack([x_m, y_m + height_m / 2, z_m], axis=1),  # the labels have the centre
+        location_m,
         size_hwl_m=size_hwl_m,
         rotation_y_rad=yaw_rad,
     )
@@ -101,6 +102,7 @@ def _labels(content: Any) -> Mono3dLabels:
         size_hwl_m=size_hwl_m,
         rotation_y_rad=yaw_rad,
         occluded=np.zeros(len(rows), np.int64),
+        location_m=location_m,
         notes=not_counted_notes(types, is_counted, ""),
     )
     is_whole = (

@@ -1,4 +1,4 @@
-"""Options of `track-range evaluate motion`."""
+"""Options of `track-range evaluate motion` and `evaluate cuboids`."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from track_range.ranging.evaluation.settings import (
 )
 
 
-class MotionEvaluationSettings(Options):
-    """Labels, boxes and methods of `track-range evaluate motion`."""
+class LabelledDriveSettings(Options):
+    """Labels with 3-D boxes and poses, and the boxes and methods that measure them."""
 
     labels: Annotated[
         Path,
@@ -27,14 +27,6 @@ class MotionEvaluationSettings(Options):
             metavar="DIR|FILE",
         ),
     ]
-    data: Annotated[
-        Literal["kitti", "tusimple", "nuscenes"],
-        option(
-            "Data set of the labels: kitti; tusimple (a clip of the velocity challenge with "
-            "images, or a folder of clips, which a run measures); or nuscenes (a COCO file of "
-            "mono3d labels)."
-        ),
-    ] = "kitti"
     calib: Annotated[
         Path | None,
         option(
@@ -73,17 +65,39 @@ class MotionEvaluationSettings(Options):
             "or unknown."
         ),
     ] = "poses"
-    look_ahead: Annotated[
-        bool,
-        option(
-            "Closing speeds and times to collision from all frames of a sequence, "
-            "including later frames."
-        ),
-    ] = False
     cross_validate: Annotated[
         bool,
         option(
             "Cross-validation: sizes refitted for each sequence on the boxes of the other "
             "sequences."
+        ),
+    ] = False
+
+
+class CuboidEvaluationSettings(LabelledDriveSettings):
+    """Options of `track-range evaluate cuboids`."""
+
+    data: Annotated[
+        Literal["kitti", "nuscenes"],
+        option("Data set of the labels: kitti, or nuscenes (a COCO file of mono3d labels)."),
+    ] = "kitti"
+
+
+class MotionEvaluationSettings(LabelledDriveSettings):
+    """Options of `track-range evaluate motion`."""
+
+    data: Annotated[
+        Literal["kitti", "tusimple", "nuscenes"],
+        option(
+            "Data set of the labels: kitti; tusimple (a clip of the velocity challenge with "
+            "images, or a folder of clips, which a run measures); or nuscenes (a COCO file of "
+            "mono3d labels)."
+        ),
+    ] = "kitti"
+    look_ahead: Annotated[
+        bool,
+        option(
+            "Closing speeds and times to collision from all frames of a sequence, "
+            "including later frames."
         ),
     ] = False

@@ -64,6 +64,18 @@ app = lazy_app(
                 "      --boxes rrc:detections --json motion.json",
             ),
         ),
+        "cuboids": Lazy(
+            "track_range.cli.commands.evaluate.cuboids",
+            "Errors of sizes, headings, centres and nearest sides of measured 3-D boxes.",
+            "Cuboids are measured from labelled boxes of drives with poses, without a video. "
+            "Headings are compared modulo 360 degrees where the object moves, and modulo 180 where "
+            "it does not.",
+            (
+                "track-range evaluate cuboids --labels label_02/ --calib calib/ --poses poses/",
+                "track-range evaluate cuboids --labels label_02/ --calib calib/ --poses poses/ \\\n"
+                "      --noise-px 2 --json cuboids.json",
+            ),
+        ),
         "events": Lazy(
             "track_range.cli.commands.evaluate.events",
             "Hits, misses, false alarms and lead times of collision warnings.",

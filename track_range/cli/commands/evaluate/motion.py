@@ -64,6 +64,7 @@ _WARNINGS: tuple[tables.ColumnSpec, ...] = (
 
 
 def _grids(figures: Mapping[str, Any]) -> Iterator[tables.Grid]:
+    yield tables.delta_1_grid({figures.get("method", "fused"): figures["distance"]})
     for title, section in (("Closing speed", figures), ("Speed over ground", figures["speed"])):
         rows = {f"all, {band} m": row for band, row in section["bands"].items()}
         for name, by_band in section["by_class"].items():

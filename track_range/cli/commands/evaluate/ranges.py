@@ -33,6 +33,7 @@ def _ranges(options: RangesOptions) -> None:
         *map(unmarked, _grids(figures)),
         *_comparison_grids(figures),
         *_drive_grids(figures),
+        tables.delta_1_grid({name: row["all"] for name, row in figures["literature"].items()}),
         *map(unmarked, _literature_grids(figures)),
         *(result_files.risk_grids(curves) if curves else ()),
     ]
@@ -49,7 +50,7 @@ _COLUMNS: tuple[tables.ColumnSpec, ...] = (
     ("coverage %", "coverage", "{:.0f}", 100.0),
     ("n", "n", "{:.0f}"),
     (f"mean %{tables.INTERVAL}", "mean_relative_error_pct", "{:.2f}", 1.0, abs),
-    tables.WITHIN_25,
+    tables.DELTA_1,
     (f"median %{tables.INTERVAL}", "median_relative_error_pct", "{:.2f}", 1.0, abs),
     ("bias %", "bias_pct", "{:+.2f}", 1.0, abs),
     *tables.NEAR_NORMAL,

@@ -1,0 +1,181 @@
+"""Errors of measured cuboids against those of labels, by cell.
+
+    heading         difference of the yaws: modulo 360 of objects that move, modulo 180 of others
+    nearest side    the edge of the footprint nearest to the straight path of the camera, below 30 m; its sigma is
+                    propagated from centre, yaw, length and width as if their errors were independent
+    centre          distance between the centres, and its parts in the axes of the camera
+
+A fraction within sigma takes the yaw modulo 180 where the front is not known, and modulo 360 where it
+is stated. A side is seen where the view is at least 15 degrees off the long axis of the cuboid.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.foundation.bootstrap import Resamples, Statistic, figures_of
+from track_range.ranging.truth.errors import fraction, within_sigmas
+from track_range.ranging.world.cuboids import Cuboids
+
+_SIDE_DEG = 15.0  # smallest angle between the view and the long axis at which a side is seen
+_SIDE_BELOW_M = 30.0  # distance up to which the nearest side is compared
+DISTANCES_M = ((5, 10), (10, 20), (20, 30), (30, 50), (50, 100))
+
+Errors = Mapping[str, tuple[FloatArray, FloatArray | None]]
+"""(N,) signed errors, and errors in units of sigma, by the name of the quantity; NaN = unknown, None =
+a distance without sign and sigma."""
+
+
+def labelled_cuboids(
+    bottom_m: FloatArray, size_hwl_m: FloatArray, rotation_y_rad: FloatArray
+) -> Cuboids:
+    """Cuboids of labels in KITTI's convention, whose bottom centres are in the camera's frame."""
+    height_m = size_hwl_m[:, :1]
+    return replace(
+        Cuboids.unknown(len(bottom_m)),
+        lwh_m=size_hwl_m[:, ::-1],
+        yaw_deg=_wrapped(-90.0 - np.degrees(rotation_y_rad), 360.0),
+        centre_m=bottom_m - height_m * [0.0, 0.5, 0.0],
+    )
+
+
+def are_sides_seen(true: Cuboids) -> BoolArray:
+    """(N,) whether the view shows a long side."""
+    view_deg = np.degrees(np.arctan2(-true.centre_m[:, 0], true.centre_m[:, 2]))
+    off_axis = np.abs(np.sin(np.radians(true.yaw_deg - view_deg)))
+    return np.asarray(off_axis >= np.sin(np.radians(_SIDE_DEG)))
+
+
+def cuboid_errors(
+    measured: Cuboids, true: Cuboids, *, is_moving: BoolArray, axis_rad: FloatArray | float = 0.0
+) -> Errors:
+    """Errors of N cuboids; `axis_rad` is the direction of the camera's axis from that of its path,
+    positive = to the left.
+    """
+    difference_deg = measured.yaw_deg - true.yaw_deg
+    either_deg, front_deg = (_wrapped(difference_deg, period) for period in (180.0, 360.0))
+    stated_deg = np.where(measured.front_known, front_deg, either_deg)
+    relative = measured.lwh_m / true.lwh_m - 1
+    relative_sigma = measured.lwh_sigma_m / true.lwh_m
+    offset_m = measured.centre_m - true.centre_m
+    in_sigmas = offset_m / measured.centre_sigma_m
+    side, side_sigma = _nearest_side(measured, true, axis_rad)
+    sizes = {
+        f"{name}_pct": (100 * relative[:, i], relative[:, i] / relative_sigma[:, i])
+        for i, name in enumerate(("length", "width", "height"))
+    }
+    parts = {
+        f"centre_{name}_m": (offset_m[:, i], in_sigmas[:, i])
+        for i, name in enumerate(("right", "down", "forward"))
+    }
+    return {
+        "heading_deg": (
+            np.where(is_moving, front_deg, either_deg),
+            stated_deg / measured.yaw_sigma_deg,
+        ),
+        **sizes,
+        "nearest_side_m": (side, side / side_sigma),
+        "centre_m": (np.linalg.norm(offset_m, axis=1), None),
+        **parts,
+    }
+
+
+def _wrapped(deg: FloatArray, period: float) -> FloatArray:
+    return np.asarray((deg + period / 2) % period - period / 2)
+
+
+def _nearest_side(
+    measured: Cuboids, true: Cuboids, axis_rad: FloatArray | float
+) -> tuple[FloatArray, FloatArray]:
+    """(N,) errors of the nearest edge across the path, positive = too far from it, with sigma."""
+    across, _ = _footprint(true, axis_rad)
+    outward = np.sign(across)
+    edges_m = []
+    for cuboids in (measured, true):
+        centre_m, half_m = _footprint(cuboids, axis_rad)
+        edges_m.append(outward * centre_m - half_m)
+    is_near = np.linalg.norm(true.centre_m[:, [0, 2]], axis=1) < _SIDE_BELOW_M
+    error_m = np.where(is_near, edges_m[0] - edges_m[1], np.nan)
+    turn_rad = np.radians(measured.yaw_deg) + axis_rad
+    sin, cos = np.sin(turn_rad), np.cos(turn_rad)
+    length_m, width_m, _ = measured.lwh_m.T
+    of_turn = np.sign(sin * cos) * (length_m * np.abs(cos) - width_m * np.abs(sin)) / 2
+    parts = (
+        _across(measured.centre_sigma_m**2, axis_rad, is_variance=True),
+        (sin / 2 * measured.lwh_sigma_m[:, 0]) ** 2,
+        (cos / 2 * measured.lwh_sigma_m[:, 1]) ** 2,
+        (of_turn * np.radians(measured.yaw_sigma_deg)) ** 2,
+    )
+    return error_m, np.sqrt(sum(parts))
+
+
+def _footprint(cuboids: Cuboids, axis_rad: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+    """(N,) offsets of the centres to the right of the path, and half of the extents across it."""
+    turn_rad = np.radians(cuboids.yaw_deg) + axis_rad
+    length_m, width_m, _ = cuboids.lwh_m.T
+    half_m = (np.abs(np.sin(turn_rad)) * length_m + np.abs(np.cos(turn_rad)) * width_m) / 2
+    return _across(cuboids.centre_m, axis_rad), half_m
+
+
+def _across(
+    vectors: FloatArray, axis_rad: FloatArray | float, *, is_variance: bool = False
+) -> FloatArray:
+    """(N,) parts to the right of the path of vectors (N, 3) in the axes of the camera."""
+    right, forward = np.cos(axis_rad), -np.sin(axis_rad)
+    if is_variance:
+        right, forward = right**2, forward**2
+    return np.asarray(vectors[:, 0] * right + vectors[:, 2] * forward)
+
+
+def cuboid_figures(
+    errors: Errors,
+    cells: Mapping[str, BoolArray],
+    measured: Cuboids,
+    true: Cuboids,
+    resamples: Resamples | None = None,
+) -> dict[str, Any]:
+    """Figures of each quantity by cell, as JSON values, with resamples also their 95 % intervals.
+
+    Besides, of each cell: the number of boxes, the fraction with a cuboid, that of those whose
+    front is stated, and the fraction of stated fronts that are right.
+    """
+    is_measured = np.isfinite(measured.yaw_deg)
+    is_right = np.abs(_wrapped(measured.yaw_deg - true.yaw_deg, 360.0)) < 90.0
+    counts = {
+        name: {
+            "n": int(rows.sum()),
+            "coverage": fraction(is_measured[rows]),
+            "front_known": fraction(measured.front_known[rows & is_measured]),
+            "front_right": fraction(is_right[rows & measured.front_known]),
+        }
+        for name, rows in cells.items()
+    }
+    figures = {
+        quantity: {name: _figures(*values, rows, resamples) for name, rows in cells.items()}
+        for quantity, values in errors.items()
+    }
+    return {"counts": counts, **figures}
+
+
+def _figures(
+    error: FloatArray, in_sigmas: FloatArray | None, rows: BoolArray, resamples: Resamples | None
+) -> dict[str, Any]:
+    chosen = np.where(rows, error, np.nan)
+    size = np.abs(chosen)
+    statistics = {"median": Statistic(size, 0.5), "p90": Statistic(size, 0.9)}
+    if in_sigmas is not None:
+        statistics["bias"] = Statistic(chosen, 0.5)
+        statistics |= within_sigmas(np.where(rows, np.abs(in_sigmas), np.nan))
+    return {"n": int(np.isfinite(chosen).sum()), **figures_of(statistics, resamples)}
+
+
+def distance_cells(true: Cuboids, rows: BoolArray) -> dict[str, BoolArray]:
+    """Masks (N,) of the chosen rows by the distance of the centre."""
+    distance_m = true.centre_m[:, 2]
+    return {
+        f"{low}-{high} m": rows & (distance_m >= low) & (distance_m < high)
+        for low, high in DISTANCES_M
+    }
