@@ -95,6 +95,8 @@ class Truth:
     kitti: KittiLabels | None = None  # all labels of a file of KITTI, for its benchmark's rules
     # targets without boxes, which rows of a run are matched to; then there are no labels
     targets: TargetTable | None = None
+    # (N, 3) bottom centres of the 3-D boxes of KITTI's labels in the left camera's frame
+    location_m: FloatArray | None = None
     right_m: FloatArray | None = None  # (N,) offset of matched targets to the right; NaN = unknown
 
     def __len__(self) -> int:
@@ -285,6 +287,7 @@ def _of_kitti(path: Path, views: _Views) -> Truth:
         closing_mps=np.full(len(labels), np.nan),
         notes=notes,
         kitti=labels,
+        location_m=labels.location_m + shift_m,
     )
 
 

@@ -6,12 +6,23 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from track_range.evaluation.motion.cuboid_errors import (
+    cuboid_errors,
+    cuboid_figures,
+    distance_cells,
+    labelled_cuboids,
+    selected,
+    view_cells,
+)
+from track_range.foundation.bootstrap import Resamples
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import real_path
 from track_range.foundation.files.output_files import write_json
 from track_range.foundation.schemas.options import option
 from track_range.results.folder import EVALUATION_FILE, read_run_folder, truth_of
-from track_range.results.summary import matched_truth, truth_figures
+from track_range.results.replay import cuboids_of
+from track_range.results.rows.rows import Rows
+from track_range.results.summary import MatchedTruth, matched_truth, truth_figures
 from track_range.run.export.source import processed_frames
 from track_range.run.options.truth import TruthOptions
 
@@ -58,8 +69,26 @@ def evaluate_run(settings: RunEvaluationSettings) -> dict[str, Any]:
         "settings": {name: given[name] for name in names if name in given},
         "frames": len(frames),
         **truth_figures(run.rows, matched, methods, frames, settings.seed),
+        **_cuboids(run.rows, matched, settings.seed),
         "notes": [*run.missing, *matched.truth.notes],
     }
     if settings.store:
         write_json(settings.folder / EVALUATION_FILE, figures)
     return figures
+
+
+def _cuboids(rows: Rows, matched: MatchedTruth, seed: int) -> dict[str, Any]:
+    """Section `cuboids`, of a run and labels that have them: headings modulo 180 degrees where the
+    front is not stated.
+    """
+    truth = matched.truth
+    if truth.kitti is None or truth.location_m is None or "yaw_deg" not in rows:
+        return {}
+    own = np.flatnonzero(np.isfinite(matched.of_scored(matched.distance_m)))
+    labels = labelled_cuboids(truth.location_m, truth.kitti.size_hwl_m, truth.kitti.rotation_y_rad)
+    true, measured = selected(labels, matched.row[own]), selected(cuboids_of(rows), own)
+    every = np.ones(len(own), np.bool_)
+    cells = {"all": every, **view_cells(true, {"all": every}), **distance_cells(true, every)}
+    errors = cuboid_errors(measured, true, is_moving=measured.front_known)
+    resamples = Resamples.of(truth.track_id[matched.row[own]], seed=seed, rows=every)
+    return {"cuboids": cuboid_figures(errors, cells, measured, true, resamples)}

@@ -61,6 +61,28 @@ PARTS = (
 besides."""
 
 
+def cuboids_of(rows: Rows) -> Cuboids:
+    """The cuboids of all rows of a run."""
+    return Cuboids(**_part(rows, "world.cuboids"))
+
+
+def _part(rows: Rows, place: str, *, is_written: bool = False) -> dict[str, npt.NDArray[Any]]:
+    """Values of all rows by attribute of the part of a `FrameResult` at `place`; with `is_written`,
+    only of columns that the rows have.
+    """
+    values: dict[str, npt.NDArray[Any]] = {}
+    axes: dict[str, list[npt.NDArray[Any]]] = {}
+    for column in rows.declared.values():
+        parent, _, attribute = column.place.rpartition(".")
+        if is_written and column.name not in rows:
+            continue
+        if parent == place:
+            values[attribute] = column.codes(rows[column.name])
+        elif attribute.isdigit() and parent.rpartition(".")[0] == place:
+            axes.setdefault(parent.rpartition(".")[2], []).append(rows[column.name])
+    return values | {name: np.stack(parts, axis=1) for name, parts in axes.items()}
+
+
 class _Frames:
     """The rows of a run as parts of `FrameResult`, each by the places of its columns."""
 
@@ -72,7 +94,7 @@ class _Frames:
         measured = [name for name in methods_with_sigma() if name in methods]
         measured += [method.name for method in listed if not method.measures_distance]
         class_id = map_to_road_classes([str(name) for name in rows["class"]])
-        self._parts = {place: self._part(place) for place in PARTS}
+        self._parts = {place: _part(rows, place) for place in PARTS}
         self._parts["tracks"]["class_id"] = class_id
         self._xyz_m = np.stack([rows[name] for name in ("x_m", "y_m", "fused_m")], axis=1)
         self._xy_sigma_m = np.stack([rows[name] for name in ("x_sigma_m", "y_sigma_m")], axis=1)
@@ -80,24 +102,8 @@ class _Frames:
         self._has_safety = "gap_m" in rows
         self._distances = {name: rows.distance(name) for name in measured}
         self._details = {
-            name: self._part(f"ranges.{name}.details", is_written=True) for name in measured
+            name: _part(rows, f"ranges.{name}.details", is_written=True) for name in measured
         }
-
-    def _part(self, place: str, *, is_written: bool = False) -> dict[str, npt.NDArray[Any]]:
-        """Values of all rows by attribute of the part of a `FrameResult` at `place`; with
-        `is_written`, only of columns that the rows have.
-        """
-        values: dict[str, npt.NDArray[Any]] = {}
-        axes: dict[str, list[npt.NDArray[Any]]] = {}
-        for column in self._rows.declared.values():
-            parent, _, attribute = column.place.rpartition(".")
-            if is_written and column.name not in self._rows:
-                continue
-            if parent == place:
-                values[attribute] = column.codes(self._rows[column.name])
-            elif attribute.isdigit() and parent.rpartition(".")[0] == place:
-                axes.setdefault(parent.rpartition(".")[2], []).append(self._rows[column.name])
-        return values | {name: np.stack(parts, axis=1) for name, parts in axes.items()}
 
     def result(self, index: int, pose: EgoPose) -> FrameResult:
         """The result of the frame with this number."""

@@ -103,3 +103,16 @@ def test_times_of_day_need_that_of_the_video(run: Path, tmp_path: Path) -> None:
     radar = log(tmp_path / "radar.csv", 18.0, "utc_s,target,range_m")
     with pytest.raises(tr.errors.LabelFileError, match="start-utc"):
         tr.evaluate.run(run, radar)
+
+
+def test_cuboids_of_labels_that_have_them(
+    run: Path, tmp_path: Path, cli: Callable[..., Any]
+) -> None:
+    """The cuboids of the rows are compared with the labels of the run, in KITTI's layout."""
+    figures = tr.evaluate.run(run)
+    read = read_run_folder(run)
+    errors = figures["cuboids"]
+    assert errors["counts"]["all"]["n"] == N_FRAMES
+    assert "yaw_deg" in read.rows
+    assert "cuboids" not in tr.evaluate.run(run, labels(tmp_path / "radar.csv", 21.0))
+    assert "Nearest side, m" in cli("evaluate", "run", run)[1]

@@ -10,12 +10,12 @@ is stated. A side is seen where the view is at least 15 degrees off the long axi
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.bootstrap import Resamples, Statistic, figures_of
 from track_range.ranging.truth.errors import fraction, within_sigmas
 from track_range.ranging.world.cuboids import Cuboids
@@ -40,6 +40,12 @@ def labelled_cuboids(
         yaw_deg=_wrapped(-90.0 - np.degrees(rotation_y_rad), 360.0),
         centre_m=bottom_m - height_m * [0.0, 0.5, 0.0],
     )
+
+
+def selected(cuboids: Cuboids, rows: IntArray) -> Cuboids:
+    """The cuboids with these indices."""
+    columns = {field.name: getattr(cuboids, field.name)[rows] for field in fields(Cuboids)}
+    return Cuboids(**columns)
 
 
 def are_sides_seen(true: Cuboids) -> BoolArray:
@@ -170,6 +176,16 @@ def _figures(
         statistics["bias"] = Statistic(chosen, 0.5)
         statistics |= within_sigmas(np.where(rows, np.abs(in_sigmas), np.nan))
     return {"n": int(np.isfinite(chosen).sum()), **figures_of(statistics, resamples)}
+
+
+def view_cells(true: Cuboids, rows: Mapping[str, BoolArray]) -> dict[str, BoolArray]:
+    """Masks (N,) of the chosen rows by whether the view shows a side, with the name before it."""
+    sides = {"side seen": are_sides_seen(true), "no side seen": ~are_sides_seen(true)}
+    return {
+        f"{name}, {side}": chosen & is_seen
+        for name, chosen in rows.items()
+        for side, is_seen in sides.items()
+    }
 
 
 def distance_cells(true: Cuboids, rows: BoolArray) -> dict[str, BoolArray]:

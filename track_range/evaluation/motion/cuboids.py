@@ -10,11 +10,11 @@ import numpy as np
 
 from track_range.evaluation.motion.cells import CLASSES, MOVING_MPS
 from track_range.evaluation.motion.cuboid_errors import (
-    are_sides_seen,
     cuboid_errors,
     cuboid_figures,
     distance_cells,
     labelled_cuboids,
+    view_cells,
 )
 from track_range.evaluation.motion.evaluate import labelled_drives, method_options
 from track_range.evaluation.motion.labelled_motion import LabelledMotion
@@ -76,16 +76,12 @@ def evaluate_cuboids(settings: CuboidEvaluationSettings) -> dict[str, Any]:
 def _cells(truth: LabelledMotion, true: Cuboids) -> dict[str, BoolArray]:
     """Masks (N,) of the boxes, by the name of the cell."""
     by_class = {name: np.isin(truth.boxes.class_name, listed) for name, listed in CLASSES.items()}
-    vehicles, is_side = by_class["vehicles"], are_sides_seen(true)
+    vehicles = by_class["vehicles"]
     states = {
         "moving": vehicles & (truth.speed_mps > MOVING_MPS),
         "parked": vehicles & (truth.speed_mps < RESTING_MPS),
     }
-    sides = {
-        f"{name}, {side}": rows & is_seen
-        for name, rows in {"vehicles": vehicles, **states}.items()
-        for side, is_seen in (("side seen", is_side), ("no side seen", ~is_side))
-    }
+    sides = view_cells(true, {"vehicles": vehicles, **states})
     cars = {
         f"cars, {name}": rows & (truth.boxes.class_name == "car") for name, rows in states.items()
     }

@@ -18,6 +18,7 @@ ERROR_FIGURES = (
     "mean_relative_error_pct",
     "bias_pct",
     "within_25_percent",
+    "delta_1_25",
     "within_1_sigma",
     "within_2_sigma",
 )

@@ -308,7 +308,7 @@ def _coverage_grid(rows: Sequence[Figures]) -> tables.Grid:
 
 def _error_grid(rows: Sequence[Figures]) -> tables.Grid:
     specs = {spec[1]: spec for spec in tables.METHOD_COLUMNS}
-    shown = [specs[key] for key in ("coverage", *ERROR_FIGURES)]
+    shown = [specs[key] for key in ("coverage", *ERROR_FIGURES) if key in specs]
     columns = (("clips", "clips", "{:.0f}"), *shown, ("worst clip %", "worst_pct"))
     grid = _grid("Distance error, median over the clips", "method", rows, columns)
     with_clip = tuple(

@@ -66,14 +66,14 @@ app = lazy_app(
         ),
         "cuboids": Lazy(
             "track_range.cli.commands.evaluate.cuboids",
-            "Errors of sizes, headings, centres and nearest sides of measured 3-D boxes.",
+            "Errors of sizes, headings, centres and sides of measured 3-D boxes.",
             "Cuboids are measured from labelled boxes of drives with poses, without a video. "
             "Headings are compared modulo 360 degrees where the object moves, and modulo 180 where "
             "it does not.",
             (
                 "track-range evaluate cuboids --labels label_02/ --calib calib/ --poses poses/",
-                "track-range evaluate cuboids --labels label_02/ --calib calib/ --poses poses/ \\\n"
-                "      --noise-px 2 --json cuboids.json",
+                "track-range evaluate cuboids --labels label_02/ --calib calib/ \\\n"
+                "      --poses poses/ --noise-px 2 --json cuboids.json",
             ),
         ),
         "events": Lazy(

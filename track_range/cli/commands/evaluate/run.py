@@ -18,7 +18,8 @@ def _run(options: RunOptions) -> None:
     check_result_files(options)
     figures = evaluate_run(options)
     mot = tables.mot_grid(figures["tracks"])
-    print_grid(console, *tables.accuracy_grids(figures), *([mot] if mot.rows else []))
+    cuboids = tables.cuboid_grids(figures["cuboids"]) if "cuboids" in figures else []
+    print_grid(console, *tables.accuracy_grids(figures), *([mot] if mot.rows else []), *cuboids)
     print_line(console, f"Ground truth: {figures['truth']}.")
     if rule := figures["tracks"].get("rule"):
         print_line(console, f"Rule of the tracking metrics: {rule}.")
