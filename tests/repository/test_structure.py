@@ -138,12 +138,12 @@ MOST_STATEMENTS = {
     # a wrong scale of disparities, and metres that few pixels can be (36)
     # cuboids with covariances in three frames (50)
     # delta 1 of published evaluations and the places of labelled boxes (5)
-    "ranging": 10_339,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 10_343,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
     # `check` (4)
     # `evaluate.cuboids` (4)
-    "api": 114,  # names that are imported when they are used, and their former names (22)
+    "api": 117,  # names that are imported when they are used, and their former names (22)
     # recordings of one camera in a pre-pass, which continues from an earlier one, for runs too (155);
     # motion as evidence, and the parts with turns (50); a given speed (30)
     # a recording counts once, and a measured height is kept (12)
@@ -172,7 +172,7 @@ MOST_STATEMENTS = {
     # methods of labelled boxes compared, with the progress of their images (9)
     # what is understood of a network (75)
     # the command `evaluate cuboids` (17)
-    "cli": 2_758,
+    "cli": 2_776,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (143), several drives together, and intervals of rates (49)
@@ -185,7 +185,7 @@ MOST_STATEMENTS = {
     # limits of figures (99)
     # images of labelled sequences (31); stereo networks as matchers (40)
     # errors of measured cuboids by cell, on labels and of runs (100)
-    "evaluation": 2_144,  # times and region of labelled motion, and every class of nuScenes (10)
+    "evaluation": 2_317,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     # earlier names of columns (4)
     # clips from the first stage that changed: keys, boxes, rows and poses that are kept (345), and a
@@ -274,7 +274,7 @@ MOST_STATEMENTS = {
     # depth.tar (37)
     # signals in object slots, of the lead and of the ego vehicle as MDF4 (106)
     # the cuboids of rows (3)
-    "results": 3_416,
+    "results": 3_577,
     # imports of one file for each idea of the settings (45); the parts of a run report, each in a class
     # of its own with what it imports (205); the options of its recording (15); notes on packages
     # at the end (5)
@@ -320,7 +320,7 @@ MOST_STATEMENTS = {
     # a warned contact without a supported time, and distances of unknown scale (8)
     # marks of methods that are not fused (8)
     # tables of cuboids and of delta 1 (16)
-    "views": 2_960,
+    "views": 2_976,
     "track_range": 108,  # a module of errors and one of evaluations, each with its names for type checkers (18)
 }
 
