@@ -53,7 +53,7 @@ def _variation(scene: Trajectories, event: Event) -> Variation | None:
     start_s = float(scene.ego[0, 0])
     peak = track[np.argmin(np.abs(track[:, 0] - event.peak_s))]
     first = track[np.argmin(np.abs(track[:, 0] - event.start_s))]
-    gap_m, offset_m, object_mps, ego_mps = peak[8:].tolist()
+    gap_m, offset_m, object_mps, ego_mps = peak[8:12].tolist()
     heading_rad = float(scene.ego[np.argmin(np.abs(scene.ego[:, 0] - peak[0])), 3])
     name, peak_s = object_name(track[:, 7], event.track_id), float(peak[0]) - start_s
     measured = {

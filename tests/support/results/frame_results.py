@@ -17,6 +17,7 @@ from track_range.ranging.cameras.doubt import Doubt
 from track_range.ranging.cameras.unknowns import CameraPriors
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.warning.collision_warning import CollisionWarning
+from track_range.ranging.world.cuboids import Cuboids
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import ObjectMotion
 from track_range.results.writers import (
@@ -49,7 +50,7 @@ def changed(result: FrameResult, **values: Any) -> FrameResult:
     for name, value in values.items():
         if name in ("closing_mps", "closing_sigma_mps", "ttc_s", "ttc_sigma_s"):
             parts["approach"] = replace(parts.get("approach", result.approach), **{name: value})
-        elif name in ("xyz_m", "xy_sigma_m", "motion", "ego_pose"):
+        elif name in ("xyz_m", "xy_sigma_m", "motion", "ego_pose", "cuboids"):
             parts["world"] = replace(parts.get("world", result.world), **{name: value})
         elif name in ("warnings", "safety"):
             alarms = parts.get("alarms", result.alarms)
@@ -120,8 +121,34 @@ def result(frame=4):
             )
         ),
         ego_pose=EgoPose(8.0, -1.0, -0.5, np.diag([0.04, 0.01, 0.0001])),
+        cuboids=with_unknown(cuboids()),
         ego_mps=10.0,
     )
+
+
+def cuboids(n=1, **values):
+    """Cuboids of n cars 12 m ahead that drive as the camera looks, or with other values."""
+    arrays = {
+        "lwh_m": [4.0, 1.8, 1.5],
+        "lwh_sigma_m": [0.3, 0.1, 0.1],
+        "yaw_deg": 0.0,
+        "yaw_sigma_deg": 5.0,
+        "front_known": True,
+        "centre_m": [1.0, 0.8, 14.0],
+        "centre_sigma_m": [0.2, 0.1, 0.5],
+        "centre_correlation": [0.0, 0.0, 0.0],
+        "vehicle_m": [np.nan] * 3,
+        "world_m": [20.25, -3.5, np.nan],
+        **values,
+    }
+    return Cuboids(**{name: np.array([given] * n) for name, given in arrays.items()})
+
+
+def with_unknown(known):
+    """Cuboids followed by one that is not known."""
+    unknown = Cuboids.unknown(1)
+    pairs = {name: (getattr(known, name), getattr(unknown, name)) for name in Cuboids.__slots__}
+    return Cuboids(**{name: np.concatenate(pair) for name, pair in pairs.items()})
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import numpy as np
 from tests.support.results.frame_results import changed, result
 from track_range.pipeline.alarming import Alarms
 from track_range.ranging.warning.safety import SafetyMeasures
+from track_range.ranging.world.cuboids import Cuboids
 from track_range.ranging.world.object_motion import ObjectMotion
 from track_range.ranging.world.placement import Placement
 from track_range.results.formats.run_info import RunInfo
@@ -45,4 +46,5 @@ def frame(index: int) -> Any:
     motion = ObjectMotion(*(getattr(given.motion, name)[1:] for name in ObjectMotion.__slots__))
     alarms = Alarms(warnings, safety, given.alarms.has_warnings, given.alarms.has_safety)
     given = replace(given, world=replace(given.world, placement=Placement.unknown(1)))
+    rows["cuboids"] = Cuboids.unknown(1)
     return changed(given, tracks=tracks, ranges=ranges, motion=motion, alarms=alarms, **rows)

@@ -34,8 +34,11 @@ def drive():
     rows = np.zeros((n, N_VALUES))
     y_m = 30 + CAR_MPS * TIMES_S
     gap_m = y_m - EGO_MPS * TIMES_S - 1.5
-    rows[:, :5] = np.stack([TIMES_S, np.full(n, -1.0), y_m, *np.full((2, n), np.pi / 2)], axis=1)
-    rows[:, 6:] = np.column_stack(
+    rows[:, :5] = np.stack(
+        [TIMES_S, np.full(n, -1.0), y_m, np.full(n, np.pi / 2), np.ones(n)], axis=1
+    )
+    rows[:, 12:] = [4.5, 1.8, 1.5, 0.3, 0.1, 0.1]
+    rows[:, 6:12] = np.column_stack(
         [np.tile([3, CAR], (n, 1)), gap_m, *np.tile([[1.0], [CAR_MPS], [EGO_MPS]], n)]
     )
     other = rows.copy()
@@ -137,7 +140,7 @@ def test_events_without_positions_have_no_scenario(drive, tmp_path):
 
 def test_unknown_values_and_standing_road_users_are_no_parameters(drive, tmp_path):
     rows = drive.rows.copy()
-    rows[:, 8:] = [math.nan, 1.0, 0.0, math.nan]
+    rows[:, 8:12] = [math.nan, 1.0, 0.0, math.nan]
     quiet = replace(EVENT, peak_ttc_s=math.nan)
     (name,) = write_event_scenarios(replace(drive, rows=rows), [quiet], tmp_path)
     root = root_of(tmp_path / name)

@@ -28,7 +28,8 @@ from scipy.spatial.transform import Rotation
 
 import track_range as tr
 from tests.support.file_size_limit import file_size_limit
-from tests.track_range.results.moving_frames import CAMERA, PERIOD_S, START_S, frame, info
+from tests.support.results.frame_results import changed, cuboids, with_unknown
+from tests.track_range.results.moving_frames import PERIOD_S, START_S, frame, info
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.schemas.schema_version import SCHEMA_VERSION
@@ -208,11 +209,13 @@ def test_foxglove_scene(foxglove: dict[str, Any]) -> None:
     (entity,) = scenes[0].entities
     (cube,) = entity.cubes
     assert entity.frame_id == "camera"
-    assert cube.size.x == pytest.approx(2 / 700 * 12)
-    assert cube.size.y == pytest.approx(2.5 / 710 * 12)
-    assert cube.pose.position.x == pytest.approx((2 - 20) / 700 * 12)
-    assert cube.pose.position.y == pytest.approx((3.25 - 30) / 710 * 12)
-    assert cube.pose.position.z - cube.size.z / 2 == pytest.approx(12.0)  # the near side
+    assert (cube.size.x, cube.size.y, cube.size.z) == (4.0, 1.8, 1.5)
+    at = cube.pose.position
+    assert (at.x, at.y, at.z) == (1.0, 0.8, 14.0)
+    # its front is ahead, its left side on the left, its roof above
+    np.testing.assert_allclose(
+        rotation(cube.pose.orientation), [[0, -1, 0], [0, 0, -1], [1, 0, 0]], atol=1e-12
+    )
 
 
 def test_foxglove_ranges(foxglove: dict[str, Any]) -> None:
@@ -241,6 +244,7 @@ def test_ros2_topics(ros2: dict[str, Any]) -> None:
         "/camera/image/compressed": "sensor_msgs/msg/CompressedImage",
         "/camera/detections": "vision_msgs/msg/Detection2DArray",
         "/tracks/detections": "vision_msgs/msg/Detection3DArray",
+        "/tracks/objects": "autoware_perception_msgs/msg/TrackedObjects",
         "/tracks/ranges": "diagnostic_msgs/msg/DiagnosticArray",
         "/tf": "tf2_msgs/msg/TFMessage",
         "/rosout": "rcl_interfaces/msg/Log",
@@ -250,7 +254,46 @@ def test_ros2_topics(ros2: dict[str, Any]) -> None:
         for index, (_, time, message) in enumerate(rows if topic not in ("/rosout", "/tf") else []):
             stamp = message.header.stamp
             assert stamp.sec * 10**9 + stamp.nanosec == time == times_ns(4)[index]
-            assert message.header.frame_id == "camera"
+            assert message.header.frame_id == (
+                "vehicle" if topic == "/tracks/objects" else "camera"
+            )
+
+
+def test_objects_of_autoware(ros2: dict[str, Any], tmp_path: Path) -> None:
+    (car,) = ros2["/tracks/objects"][0][2].objects
+    assert (car.existence_probability, car.classification[0].label) == (0.5, 1)
+    pose = car.kinematics.pose_with_covariance
+    at, size = pose.pose.position, car.shape.dimensions
+    np.testing.assert_allclose([at.x, at.y, at.z], [14.0, -1.0, -0.8], atol=1e-12)
+    np.testing.assert_allclose(rotation(pose.pose.orientation), np.eye(3), atol=1e-12)
+    variances = np.diag(np.reshape(pose.covariance, (6, 6)))
+    np.testing.assert_allclose(
+        variances, [0.25, 0.04, 0.01, 0.03**2, 0.03**2, np.radians(5.0) ** 2]
+    )
+    assert (size.x, size.y, size.z, car.shape.type) == (4.0, 1.8, 1.5, 0)
+    twist = car.kinematics.twist_with_covariance
+    assert (twist.twist.linear.x, twist.covariance[0]) == pytest.approx((8.5, 0.16))
+    assert car.kinematics.orientation_availability == 2
+    later = ros2["/tracks/objects"][3][2].objects[0]
+    assert bytes(car.object_id.uuid) == bytes(later.object_id.uuid)
+    # turned to the left, its front not known, in a vehicle whose camera looks 30 degrees to the right
+    mounting = Mounting(yaw_deg=-30.0, x_m=1.5, y_m=-0.4, z_m=1.3)
+    turned = changed(frame(0), cuboids=with_unknown(cuboids(yaw_deg=90.0, front_known=False)))
+    writers = OpenWriters(("mcap",), info("ros2", mounting=mounting), tmp_path)
+    writers.write(turned)
+    writers.close(None)
+    read = messages(tmp_path / "run.mcap")
+    (car,) = read["/tracks/objects"][0][2].objects
+    pose, turn = car.kinematics.pose_with_covariance.pose, np.radians(mounting.yaw_deg)
+    expected = [
+        1.5 + 14 * np.cos(turn) + np.sin(turn), -0.4 + 14 * np.sin(turn) - np.cos(turn), 1.3 - 0.8
+    ]  # fmt: skip
+    np.testing.assert_allclose([pose.position.x, pose.position.y, pose.position.z], expected)
+    axis = rotation(pose.orientation) @ [1.0, 0.0, 0.0]
+    assert np.degrees(np.arctan2(axis[1], axis[0])) == pytest.approx(60.0)
+    assert car.kinematics.orientation_availability == 1
+    (solid,) = read["/tracks/detections"][0][2].detections
+    assert solid.results[0].pose.covariance[28] > 4.0  # it may as well be turned by 180 degrees
 
 
 def test_ros2_messages(ros2: dict[str, Any]) -> None:
@@ -280,11 +323,14 @@ def test_ros2_messages(ros2: dict[str, Any]) -> None:
         20.0,
     )
     (solid,) = ros2["/tracks/detections"][0][2].detections
-    (expected, _) = track_objects(frame(0), CAMERA, viewer_columns())
-    assert (solid.id, solid.results[0].pose.covariance[14]) == ("3", 0.25)
+    (expected, _) = track_objects(frame(0), viewer_columns())
+    covariance = np.reshape(solid.results[0].pose.covariance, (6, 6))
+    variances = [0.04, 0.01, 0.25, 0.03**2, np.radians(5.0) ** 2, 0.03**2]
+    np.testing.assert_allclose(np.diag(covariance), variances)
+    assert solid.id == "3"
     position, size = solid.bbox.center.position, solid.bbox.size
     assert (position.x, position.y, position.z) == expected.centre_m
-    assert (size.x, size.y, size.z) == expected.size_m
+    assert (size.x, size.y, size.z) == expected.lwh_m
     assert [len(message.detections) for _, _, message in ros2["/tracks/detections"]] == [1, 1, 0, 1]
     status = ros2["/tracks/ranges"][0][2].status[0]
     assert (status.name, status.message) == ("track 3", "car")

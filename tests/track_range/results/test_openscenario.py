@@ -8,7 +8,14 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from tests.support.results.frame_results import INFO, changed, result, writing
+from tests.support.results.frame_results import (
+    INFO,
+    changed,
+    cuboids,
+    result,
+    with_unknown,
+    writing,
+)
 from tests.track_range.results.moving_frames import frame
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
@@ -24,8 +31,10 @@ def schema():
     return xmlschema.XMLSchema(Path(next(iter(schemas.__path__))) / "OpenSCENARIO_1_2.xsd")
 
 
-def moved(index, *, state="moving", x_m=(30.0, 60.0), heading_deg=0.0):
-    """Frame `index` of an ego vehicle that drives along x at 1 m per frame."""
+def moved(index, *, state="moving", x_m=(30.0, 60.0), heading_deg=0.0, **cuboid):
+    """Frame `index` of an ego vehicle that drives along x at 1 m per frame; the centre of the
+    cuboid of its car is 2 m behind its visible side.
+    """
     given = result(index)
     pair = np.array
     motion = ObjectMotion(
@@ -33,8 +42,13 @@ def moved(index, *, state="moving", x_m=(30.0, 60.0), heading_deg=0.0):
         pair([float(MOTION_STATES.index(state)), np.nan]), pair([0.9, np.nan]),
     )  # fmt: skip
     pose = EgoPose(1.0 * index, 0.0, 0.0, np.zeros((3, 3)))
+    boxes = with_unknown(cuboids(world_m=[x_m[0] + 2.0, 2.0, np.nan], **cuboid))
     return changed(
-        given, frame=replace(given.frame, time_s=index / 10), motion=motion, ego_pose=pose
+        given,
+        frame=replace(given.frame, time_s=index / 10),
+        motion=motion,
+        ego_pose=pose,
+        cuboids=boxes,
     )
 
 
@@ -65,23 +79,38 @@ def test_valid_with_the_positions_of_the_rows(tmp_path, schema):
     root = root_of(path)
     ego, car = vertices(root, "ego"), vertices(root, "car-3")
     np.testing.assert_allclose(ego, [[0.1 * i, 2.0 + i, 0.0, 0.0] for i in range(5)], atol=1e-3)
-    bearing = np.arctan2(2.0, 30.0)
-    # half the length
-    np.testing.assert_allclose(car[:, 1], 32.0 + np.arange(5) + 2.1 * math.cos(bearing), atol=2e-3)
-    np.testing.assert_allclose(car[:, 2], 2.0 + 2.1 * math.sin(bearing), atol=2e-3)
+    np.testing.assert_allclose(car[:, 1], 34.0 + np.arange(5))
+    np.testing.assert_allclose(car[:, 2:], np.tile([2.0, 0.0], (5, 1)))
+    size = root.find(".//ScenarioObject[@name='car-3']//Dimensions").attrib
+    assert size == {"width": "1.80", "length": "4.00", "height": "1.50"}
     # no traffic light
     assert [given.get("name") for given in root.iter("ScenarioObject")] == ["ego", "car-3"]
 
 
-def test_parked_objects_do_not_move_and_crossing_ones_are_as_deep_as_wide(tmp_path):
+def test_parked_objects_do_not_move_and_headings_do_not_turn(tmp_path):
     parked = [
-        moved(i, state="parked", x_m=(30.0 + 0.5 * (-1) ** i, 60.0), heading_deg=np.nan)
-        for i in range(5)
+        moved(i, state="parked", x_m=(30.0 + 0.5 * (-1) ** i, 60.0), yaw_deg=yaw_deg, front_known=False)
+        for i, yaw_deg in enumerate((170.0, -6.0, 178.0, 174.0, 174.0))
+    ]  # fmt: skip
+    rows = vertices(root_of(written(tmp_path, parked)), "car-3")
+    assert np.ptp(rows[:, 1:], axis=0).max() == 0
+    assert rows[0, 3] == pytest.approx(math.radians(174.0), abs=1e-4)
+    moving = [
+        moved(i, yaw_deg=yaw_deg, front_known=i == 2)
+        for i, yaw_deg in enumerate((84, -90, 92, -88))
     ]
-    assert np.ptp(vertices(root_of(written(tmp_path, parked)), "car-3")[:, 1:3], axis=0).max() == 0
-    crossing = [moved(i, state="crossing", heading_deg=90.0) for i in range(3)]
-    first = vertices(root_of(written(tmp_path, crossing)), "car-3")[0]
-    assert first[1] - 30.0 == pytest.approx(0.9 * math.cos(math.atan2(2.0, 30.0)), abs=2e-3)
+    headings = np.degrees(vertices(root_of(written(tmp_path, moving)), "car-3")[:, 3])
+    np.testing.assert_allclose(headings, [84, 90, 92, 92], atol=0.01)
+
+
+def test_sure_sizes_count_more(tmp_path):
+    frames = [
+        moved(0, lwh_m=[4.0, 1.8, 1.5], lwh_sigma_m=[0.4, 0.1, np.nan]),
+        moved(1, lwh_m=[5.0, 1.6, 1.7], lwh_sigma_m=[0.2, 0.1, np.nan]),
+    ]
+    root = root_of(written(tmp_path, frames))
+    size = root.find(".//ScenarioObject[@name='car-3']//Dimensions")
+    assert size.attrib == {"length": "4.80", "width": "1.70", "height": "1.60"}
 
 
 def test_objects_appear_and_disappear(tmp_path, schema):

@@ -20,7 +20,7 @@ import rerun as rr
 
 import track_range as tr
 from tests.support.file_size_limit import file_size_limit
-from tests.track_range.results.moving_frames import CAMERA, START_S, frame, info
+from tests.track_range.results.moving_frames import START_S, frame, info
 from track_range.cli.commands.view import recording_of, viewer_command
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.folder_lock import locked_folder
@@ -85,16 +85,18 @@ def test_entities(recording: Rows) -> None:
 
 
 def test_scene(recording: Rows) -> None:
-    (car, _) = track_objects(frame(0), CAMERA, viewer_columns())
+    (car, _) = track_objects(frame(0), viewer_columns())
     centres = values(recording, "/world/tracks", ":centers")
     assert [len(boxes) for boxes in centres] == [1, 1, 0, 1]
     np.testing.assert_allclose(centres[0][0], car.centre_m, rtol=1e-6)
     np.testing.assert_allclose(
-        2 * np.array(values(recording, "/world/tracks", ":half_sizes")[0][0]), car.size_m, rtol=1e-6
+        2 * np.array(values(recording, "/world/tracks", ":half_sizes")[0][0]), car.lwh_m, rtol=1e-6
     )
+    turn = values(recording, "/world/tracks", ":quaternions")[0][0]
+    np.testing.assert_allclose(turn, car.xyzw, rtol=1e-6)
+    footprint = values(recording, "/birds_eye/tracks", ":strips")[0][0]
     np.testing.assert_allclose(
-        values(recording, "/birds_eye/tracks", ":positions")[0][0],
-        [car.centre_m[0], -car.centre_m[2]],
+        footprint, [[0.1, -16], [1.9, -16], [1.9, -12], [0.1, -12], [0.1, -16]], rtol=1e-6
     )
     boxes = values(recording, "/camera/image/boxes", ":centers")
     np.testing.assert_allclose(boxes[0], [[2.5, 3.75], [20.5, 30.5]])

@@ -1,10 +1,9 @@
-"""run.xosc: ASAM OpenSCENARIO 1.2 with the trajectories of the ego vehicle and of the tracks,
-without a road.
+"""run.xosc: ASAM OpenSCENARIO 1.2 with the trajectories of the ego vehicle and of the tracks.
 
-Positions are in the frame `map`. The reference point of the ego vehicle is the camera, the
-reference point of an object is the middle of a box of nominal size behind its visible side; parked
-objects stay at the median of their positions. Objects are added when they are first seen, and
-deleted when they were last seen. Times are seconds from the first known pose.
+Positions are in the frame `map`. The reference point of the ego vehicle is the camera, that of an
+object the centre of its cuboid, whose size is the mean over the frames of the track, weighted by
+its sigmas; parked objects stay at the median of their positions. Objects are added when they are
+first seen, and deleted when they were last seen. Times are seconds from the first known pose.
 """
 
 from __future__ import annotations
@@ -23,28 +22,28 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files import atomic_files
 from track_range.pipeline.frame_result import FrameResult
-from track_range.ranging.warning.safety import HALF_WIDTH_M
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import MOTION_STATES
 from track_range.results.formats.run_info import RunInfo
-from track_range.results.formats.scene import LENGTH_M
 
 SCENARIO_FILE = "run.xosc"
 EGO = "ego"
-N_VALUES = 12  # of a row
+N_VALUES = 18  # of a row
+_LEAST_M = 0.01  # standard deviation of a size that is given
 # of recordings without UTC, so that the same run gives the same file
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-# category and nominal height in m; others are not written
-_KINDS: Mapping[str, tuple[str, float]] = {
-    "person": ("pedestrian", 1.75),
-    "bicycle": ("bicycle", 1.7),
-    "car": ("car", 1.5),
-    "motorcycle": ("motorbike", 1.6),
-    "bus": ("bus", 3.1),
-    "truck": ("truck", 3.3),
+# categories; objects of other classes are not written
+_CATEGORIES: Mapping[str, str] = {
+    "person": "pedestrian",
+    "bicycle": "bicycle",
+    "car": "car",
+    "motorcycle": "motorbike",
+    "bus": "bus",
+    "truck": "truck",
 }
-_IS_WRITTEN = np.array([name in _KINDS for name in ROAD_CLASSES])
+_IS_WRITTEN = np.array([name in _CATEGORIES for name in ROAD_CLASSES])
+_AXLE_FRACTION = 0.3  # of the length of a vehicle, from its middle to an axle: usual
 
 
 def _node(tag: str, *children: ElementTree.Element, **attributes: Any) -> ElementTree.Element:
@@ -182,11 +181,8 @@ def _scenario(drive: Trajectories, variation: Variation, description: str) -> El
     for track_id in dict.fromkeys(rows[:, 6].tolist()):
         track = rows[rows[:, 6] == track_id]
         name = object_name(track[:, 7], track_id)
-        class_name = name.rpartition("-")[0]
-        category, height_m = _KINDS[class_name]
-        half_width_m = float(HALF_WIDTH_M[ROAD_CLASSES.index(class_name)])
-        size_m = (LENGTH_M[class_name], 2 * half_width_m, height_m)
-        objects.append((name, category, size_m, 0.0, _placed(track, size_m)))
+        category = _CATEGORIES[name.rpartition("-")[0]]
+        objects.append((name, category, _size_m(track), 0.0, _placed(track)))
     init = [_private(name, table[0], variation) for name, *_, table in objects if table[0, 0] <= 0]
     groups = [_maneuvers(name, table, variation) for name, *_, table in objects]
     story = (
@@ -213,40 +209,53 @@ def _scenario(drive: Trajectories, variation: Variation, description: str) -> El
 
 
 def _rows(result: FrameResult, pose: EgoPose) -> FloatArray:
-    """(N, N_VALUES) time, x, y, heading (NaN = unknown), bearing, whether parked, track ID, class,
-    gap to the front, lateral offset from the path of the ego vehicle, speed over ground, its speed.
+    """(N, N_VALUES) time, x, y and heading of the cuboid, whether its front is known, whether
+    parked, track ID, class, gap to the front, lateral offset from the path of the ego vehicle, speed
+    over ground, its speed, length, width and height with their sigmas.
     """
     tracks, n = result.tracks, len(result.tracks)
-    motion = result.motion
-    x_m, y_m, is_parked = (
-        motion.world_x_m,
-        motion.world_y_m,
-        motion.state == MOTION_STATES.index("parked"),
-    )
-    place = (np.full(n, result.time_s), x_m, y_m, np.radians(motion.heading_deg))
-    bearing_rad = np.arctan2(y_m - pose.y_m, x_m - pose.x_m)
+    motion, cuboids = result.motion, result.cuboids
+    x_m, y_m = cuboids.world_m[:, :2].T
+    heading_rad = np.radians(cuboids.yaw_deg) + pose.heading_rad
+    is_parked = motion.state == MOTION_STATES.index("parked")
+    place = (np.full(n, result.time_s), x_m, y_m, heading_rad, cuboids.front_known)
     known = (result.safety.gap_m, result.warnings.path_offset_m, motion.speed_mps)
-    identity = (tracks.track_id, tracks.class_id)
+    identity = (is_parked, tracks.track_id, tracks.class_id)
     ego_mps = np.full(n, result.ego_mps)
-    rows = np.column_stack([*place, bearing_rad, is_parked, *identity, *known, ego_mps])
-    return np.asarray(rows[np.isfinite(x_m) & _IS_WRITTEN[tracks.class_id]])
+    sizes = (cuboids.lwh_m, cuboids.lwh_sigma_m)
+    rows = np.column_stack([*place, *identity, *known, ego_mps, *sizes])
+    is_known = np.isfinite(rows[:, [1, 2, 3, 12, 13, 14]]).all(axis=1)
+    return np.asarray(rows[is_known & _IS_WRITTEN[tracks.class_id]])
 
 
-def _placed(rows: FloatArray, size_m: tuple[float, float, float]) -> FloatArray:
-    """(N, 4) time, x and y of the middle of the box of a track, and a heading in every row."""
-    time_s, x_m, y_m, heading_rad, bearing_rad, is_parked = rows[:, :6].T
-    known = np.flatnonzero(np.isfinite(heading_rad))
-    if len(known):  # the last known one, before it the first
-        last = np.maximum(np.searchsorted(known, np.arange(len(rows)), side="right") - 1, 0)
-        heading_rad = heading_rad[known[last]]
-    else:
-        heading_rad = np.full(len(rows), bearing_rad[0])
-    is_along = np.abs(np.cos(heading_rad - bearing_rad)) > math.sqrt(0.5)
-    half_m = np.where(is_along, size_m[0], size_m[1]) / 2
-    x_m, y_m = x_m + half_m * np.cos(bearing_rad), y_m + half_m * np.sin(bearing_rad)
+def _size_m(rows: FloatArray) -> tuple[float, float, float]:
+    """Length, width and height of a track, by all its rows: sure ones count more."""
+    weights = 1 / np.maximum(np.nan_to_num(rows[:, 15:], nan=np.inf), _LEAST_M) ** 2
+    known = weights.sum(axis=0) > 0
+    weights = np.where(known, weights, 1.0)
+    length_m, width_m, height_m = np.average(rows[:, 12:15], axis=0, weights=weights).tolist()
+    return length_m, width_m, height_m
+
+
+def _placed(rows: FloatArray) -> FloatArray:
+    """(N, 4) time, x, y and heading of a track; a heading whose front is not known is the nearer one
+    to the last known, before it to the first.
+    """
+    time_s, x_m, y_m, heading_rad, front_known, is_parked = rows[:, :6].T
     if is_parked.mean() > 0.5:
         x_m, y_m = np.full_like(x_m, np.median(x_m)), np.full_like(y_m, np.median(y_m))
-    return np.stack([time_s, x_m, y_m, heading_rad], axis=1)
+        axis_rad = np.angle(np.exp(2j * heading_rad).sum()) / 2
+        is_turned = np.mean(np.cos(heading_rad - axis_rad) < 0) > 0.5
+        return np.stack(
+            [time_s, x_m, y_m, np.full_like(x_m, axis_rad + math.pi * is_turned)], axis=1
+        )
+    known = np.flatnonzero(front_known)
+    reference_rad = heading_rad[:1]
+    if len(known):
+        last = np.maximum(np.searchsorted(known, np.arange(len(rows)), side="right") - 1, 0)
+        reference_rad = heading_rad[known[last]]
+    is_turned = np.cos(heading_rad - reference_rad) < 0
+    return np.stack([time_s, x_m, y_m, heading_rad + math.pi * is_turned], axis=1)
 
 
 def _entity(
@@ -256,7 +265,7 @@ def _entity(
     box = _node(
         "BoundingBox",
         _node("Center", x=f"{centre_x_m:.2f}", y=0, z=f"{height / 2:.2f}"),
-        _node("Dimensions", width=width, length=length, height=height),
+        _node("Dimensions", width=f"{width:.2f}", length=f"{length:.2f}", height=f"{height:.2f}"),
     )
     common = {"name": category}
     if category == "pedestrian":
@@ -270,10 +279,16 @@ def _entity(
             **common,
         )
     else:
-        axle = {"maxSteering": 0.5, "wheelDiameter": 0.6, "trackWidth": width, "positionZ": 0.3}
+        to_axle_m = _AXLE_FRACTION * length
+        axle = {
+            "maxSteering": 0.5,
+            "wheelDiameter": 0.6,
+            "trackWidth": f"{width:.2f}",
+            "positionZ": 0.3,
+        }
         axles = (
-            _node("FrontAxle", positionX=f"{0.6 * length:.2f}", **axle),
-            _node("RearAxle", positionX=0, **axle),
+            _node("FrontAxle", positionX=f"{centre_x_m + to_axle_m:.2f}", **axle),
+            _node("RearAxle", positionX=f"{centre_x_m - to_axle_m:.2f}", **axle),
         )
         performance = _node("Performance", maxSpeed=70, maxAcceleration=10, maxDeceleration=10)
         parts = (box, performance, _node("Axles", *axles), _node("Properties"))

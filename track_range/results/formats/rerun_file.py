@@ -3,7 +3,7 @@
     camera/image/video           overlay.mp4, logged at the end; H.264
     camera/image/boxes           boxes in the image
     world/camera, world/tracks   camera and cuboids (x right, y down, z forward)
-    birds_eye/tracks             the tracks from above: x right, y = -z
+    birds_eye/tracks             their footprints: x right, y = -z
     map/vehicle, map/tracks      poses and positions in the world (x forward, y left, z up); paths in map/paths
     distance/track_ID, closing_speed/track_ID, log
 
@@ -141,7 +141,7 @@ class RerunWriter:
             self._recording.set_time("time", timestamp=self._last_s)
         self._log_notes(self._first_notes)
         self._first_notes = ()
-        objects = list(track_objects(result, self._info.camera, self._columns))
+        objects = list(track_objects(result, self._columns))
         self._log_objects(objects)
         self._log_map(objects, result.ego_pose)
 
@@ -193,16 +193,18 @@ class RerunWriter:
             labels=[shown.label for shown in objects],
         )
         self._recording.log(_BOXES, boxes)
-        ranged = [shown for shown in objects if shown.is_ranged]
+        ranged = [shown for shown in objects if shown.has_cuboid]
         centres = np.array([shown.centre_m for shown in ranged]).reshape(-1, 3)
-        sizes = np.array([shown.size_m for shown in ranged]).reshape(-1, 3)
+        sizes = np.array([shown.lwh_m for shown in ranged]).reshape(-1, 3)
+        turns = np.array([shown.xyzw for shown in ranged]).reshape(-1, 4)
         style: dict[str, Any] = {
             "colors": [_rgba(shown) for shown in ranged],
             "labels": [shown.label for shown in ranged],
         }
-        self._recording.log(_TRACKS, rr.Boxes3D(centers=centres, sizes=sizes, **style))
-        above = np.stack([centres[:, 0], -centres[:, 2]], axis=1)
-        self._recording.log(_TOP_VIEW, rr.Points2D(above, radii=0.8, **style))
+        cuboids = rr.Boxes3D(centers=centres, sizes=sizes, quaternions=turns, **style)
+        self._recording.log(_TRACKS, cuboids)
+        above = [shown.corners_m[[0, 1, 2, 3, 0], ::2] * [1.0, -1.0] for shown in ranged]
+        self._recording.log(_TOP_VIEW, rr.LineStrips2D(above, radii=0.1, **style))
         for shown in objects:
             values = {_DISTANCE: shown.distance_m, _CLOSING: shown.figure("closing_mps")}
             paths = {f"{plot}/track_{shown.track_id}": value for plot, value in values.items()}

@@ -20,10 +20,10 @@ from track_range.foundation.files.input_files import shortened
 from track_range.foundation.library_telemetry import disable_telemetry
 from track_range.pipeline.colours import track_colour, warning_colour
 from track_range.pipeline.frame_result import FrameResult
+from track_range.ranging.world.cuboid_corners import cuboid_corners
 from track_range.ranging.world.ego_path import EgoPose
-from track_range.ranging.world.placement import point_covariance
+from track_range.ranging.world.object_motion import MOTION_STATES
 from track_range.results.rows.column import ResultColumn
-from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.mounting import Mounting
 
 CAMERA_FRAME, VEHICLE_FRAME, MAP_FRAME = "camera", "vehicle", "map"
@@ -33,8 +33,7 @@ moves."""
 
 # quaternion that rotates vectors from camera to vehicle, of a camera that looks along x
 VEHICLE_FROM_CAMERA_XYZW = (-0.5, 0.5, -0.5, 0.5)
-LENGTH_M = dict(zip(ROAD_CLASSES, (0.5, 1.7, 4.2, 2.1, 11.0, 8.0, 0.3, 0.1), strict=True))
-"""Nominal length of each class, m, since an image shows only width and height; typical sizes."""
+_CAMERA_FROM_LEVEL = Rotation.from_quat(VEHICLE_FROM_CAMERA_XYZW).inv()
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +46,15 @@ class TrackObject:
     is_observed: bool
     xyxy_px: tuple[float, float, float, float]  # pixel centres at integers
     figures: Mapping[str, float]  # the known values of `viewer_columns`, by name with unit
-    centre_m: tuple[float, float, float]  # of the cuboid in the camera frame
-    size_m: tuple[float, float, float]  # width (x), height (y) and nominal length (z) of the cuboid
-    covariance_m2: FloatArray  # (3, 3) of the measured point in the camera frame; NaN = unknown
+    centre_m: tuple[float, float, float]  # of the cuboid in the camera frame; NaN = unknown
+    lwh_m: tuple[float, float, float]  # its length, width and height
+    # quaternion that rotates its axes (to its front, to its left, up) to those of the camera
+    xyzw: tuple[float, float, float, float]
+    yaw_sigma_rad: float  # modulo 180 degrees where the front is not known
+    front_known: bool  # whether front and back of the cuboid are told apart
+    covariance_m2: FloatArray  # (3, 3) of the centre in the camera frame; NaN = unknown
+    corners_m: FloatArray  # (8, 3) in the camera frame, see `cuboid_corners`
+    is_parked: bool  # whether it stands
     rgb: tuple[int, int, int]  # 0 to 255; red and amber shortly before a predicted collision
 
     def figure(self, name: str) -> float:
@@ -67,6 +72,11 @@ class TrackObject:
         return math.isfinite(self.distance_m) and self.distance_m > 0
 
     @property
+    def has_cuboid(self) -> bool:
+        """Whether centre, size and direction of the cuboid are known."""
+        return bool(np.isfinite(self.corners_m).all())
+
+    @property
     def label(self) -> str:
         """Class, identity and distance, such as "car 3  24.1 ± 0.6 m"."""
         name = f"{self.class_name} {self.track_id}"
@@ -77,35 +87,31 @@ class TrackObject:
 
 
 def track_objects(
-    result: FrameResult, camera: PinholeCamera, columns: Mapping[str, ResultColumn]
+    result: FrameResult, columns: Mapping[str, ResultColumn]
 ) -> Iterator[TrackObject]:
-    """The tracks of a frame; the ranged surface is the near side of each cuboid, which has no
-    rotation; `columns` are the `viewer_columns`.
-    """
-    tracks = result.tracks
+    """The tracks of a frame with their cuboids; `columns` are the `viewer_columns`."""
+    tracks, cuboids = result.tracks, result.cuboids
     figures = {name: column.read(result) for name, column in columns.items()}
-    distance_m = figures["distance_m"]
-    x1, y1, x2, y2 = tracks.xyxy_px.T
-    names = [ROAD_CLASSES[class_id] for class_id in tracks.class_id.tolist()]
-    length_m = np.array([LENGTH_M[name] for name in names])
-    centre_x_m = ((x1 + x2) / 2 - camera.cx_px) / camera.fx_px * distance_m
-    centre_y_m = ((y1 + y2) / 2 - camera.cy_px) / camera.fy_px * distance_m
-    width_m, height_m = (x2 - x1) / camera.fx_px * distance_m, (y2 - y1) / camera.fy_px * distance_m
-    centre_m = np.column_stack([centre_x_m, centre_y_m, distance_m + length_m / 2])
-    size_m = np.column_stack([width_m, height_m, length_m])
-    sigma_m = figures["sigma_m"]
-    covariance_m2 = point_covariance(result.xyz_m, result.world.xy_sigma_m, sigma_m)
+    yaw_deg = np.nan_to_num(cuboids.yaw_deg)[:, None]
+    turns = _CAMERA_FROM_LEVEL * Rotation.from_euler("z", yaw_deg, degrees=True)
+    xyzw, covariance_m2, corners_m = turns.as_quat(), cuboids.covariance_m2, cuboid_corners(cuboids)
+    is_parked = result.motion.state == MOTION_STATES.index("parked")
     for i, track_id in enumerate(tracks.track_id.tolist()):
         blue, green, red = warning_colour(result, i) or track_colour(track_id)
         yield TrackObject(
             track_id=track_id,
-            class_name=names[i],
+            class_name=ROAD_CLASSES[int(tracks.class_id[i])],
             score=float(tracks.score[i]),
             is_observed=bool(tracks.observed[i]),
             xyxy_px=tuple(tracks.xyxy_px[i].tolist()),
-            centre_m=tuple(centre_m[i].tolist()),
-            size_m=tuple(size_m[i].tolist()),
+            centre_m=tuple(cuboids.centre_m[i].tolist()),
+            lwh_m=tuple(cuboids.lwh_m[i].tolist()),
+            xyzw=tuple(xyzw[i].tolist()),
+            yaw_sigma_rad=math.radians(cuboids.yaw_sigma_deg[i]),
+            front_known=bool(cuboids.front_known[i]),
             covariance_m2=covariance_m2[i],
+            corners_m=corners_m[i],
+            is_parked=bool(is_parked[i]),
             rgb=(red, green, blue),
             figures={
                 name: float(values[i]) for name, values in figures.items() if np.isfinite(values[i])
@@ -120,6 +126,11 @@ class Transform(NamedTuple):
     child: str
     at_m: tuple[float, float, float]  # its origin in the parent
     xyzw: tuple[float, float, float, float]  # quaternion that rotates vectors to the parent
+
+    @property
+    def turn(self) -> Rotation:
+        """Rotation of vectors to the parent."""
+        return Rotation.from_quat(self.xyzw)
 
 
 def transforms(pose: EgoPose | None, mounting: Mounting | None) -> tuple[Transform, Transform]:

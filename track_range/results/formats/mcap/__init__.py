@@ -18,7 +18,7 @@ PROFILES: Mapping[str, str] = {
 }
 ANNOTATIONS, DETECTIONS_2D = "/camera/annotations", "/camera/detections"
 SCENE, DETECTIONS_3D, RANGES = "/tracks/scene", "/tracks/detections", "/tracks/ranges"
-TRANSFORMS = "/tf"
+TRANSFORMS, TRACKED_OBJECTS = "/tf", "/tracks/objects"
 NANOSECONDS = 1_000_000_000  # nanoseconds per second
 Message = tuple[str, bytes]  # topic and encoded message
 

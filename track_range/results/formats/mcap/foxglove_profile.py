@@ -125,10 +125,10 @@ class FoxgloveProfile:
         ).encode()
 
     def _scene(self, objects: Sequence[scene.TrackObject], time: Timestamp) -> bytes:
-        """The cuboids of the ranged tracks; cuboids of other tracks that were shown before are
+        """The cuboids of the tracks; cuboids of other tracks that were shown before are
         deleted.
         """
-        ranged = [shown for shown in objects if shown.is_ranged]
+        ranged = [shown for shown in objects if shown.has_cuboid]
         gone = self._shown - {shown.track_id for shown in ranged}
         self._shown = {shown.track_id for shown in ranged}
         return fox.SceneUpdate(
@@ -206,8 +206,8 @@ def _metadata(shown: scene.TrackObject) -> list[fox.KeyValuePair]:
 
 def _entity(shown: scene.TrackObject, time: Timestamp) -> fox.SceneEntity:
     x, y, z = shown.centre_m
-    width, height, length = shown.size_m
-    upright = fox.Quaternion(w=1.0)
+    length, width, height = shown.lwh_m
+    turn = fox.Quaternion(**dict(zip("xyzw", shown.xyzw, strict=True)))
     return fox.SceneEntity(
         timestamp=time,
         frame_id=scene.CAMERA_FRAME,
@@ -215,15 +215,15 @@ def _entity(shown: scene.TrackObject, time: Timestamp) -> fox.SceneEntity:
         metadata=_metadata(shown),
         cubes=[
             fox.CubePrimitive(
-                pose=fox.Pose(position=fox.Vector3(x=x, y=y, z=z), orientation=upright),
-                size=fox.Vector3(x=width, y=height, z=length),
+                pose=fox.Pose(position=fox.Vector3(x=x, y=y, z=z), orientation=turn),
+                size=fox.Vector3(x=length, y=width, z=height),
                 color=_colour(shown.rgb, 0.7 if shown.is_observed else _PREDICTED_ALPHA),
             )
         ],
         texts=[
             fox.TextPrimitive(
                 pose=fox.Pose(
-                    position=fox.Vector3(x=x, y=y - height / 2 - 0.5, z=z), orientation=upright
+                    position=fox.Vector3(x=x, y=y - height / 2 - 0.5, z=z), orientation=turn
                 ),
                 billboard=True,
                 font_size=14.0,

@@ -2,18 +2,23 @@
 
 /camera/camera_info sensor_msgs/CameraInfo, /camera/image/compressed sensor_msgs/CompressedImage,
 /camera/detections vision_msgs/Detection2DArray, /tracks/detections vision_msgs/Detection3DArray,
+/tracks/objects autoware_perception_msgs/TrackedObjects,
 /tracks/ranges diagnostic_msgs/DiagnosticArray (for plots), /tf tf2_msgs/TFMessage, /rosout
 rcl_interfaces/Log
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
+from uuid import NAMESPACE_OID, uuid5
 
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.spatial.transform import Rotation
 
+from track_range.foundation.arrays import FloatArray
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.results.formats import scene
 from track_range.results.formats.mcap import (
@@ -21,6 +26,7 @@ from track_range.results.formats.mcap import (
     DETECTIONS_3D,
     NANOSECONDS,
     RANGES,
+    TRACKED_OBJECTS,
     TRANSFORMS,
     Message,
     calibration_matrices,
@@ -50,11 +56,32 @@ VISION_MESSAGES = {  # of vision_msgs 4 (ROS 2 Humble and later), which rosbags 
     "Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections",
 }
 
+AUTOWARE_MESSAGES = {  # of autoware_perception_msgs, which rosbags does not contain
+    "ObjectClassification": "uint8 label\nfloat32 probability",
+    "Shape": "uint8 type\ngeometry_msgs/Polygon footprint\ngeometry_msgs/Vector3 dimensions",
+    "TrackedObjectKinematics": "geometry_msgs/PoseWithCovariance pose_with_covariance\n"
+    "geometry_msgs/TwistWithCovariance twist_with_covariance\n"
+    "geometry_msgs/AccelWithCovariance acceleration_with_covariance\n"
+    "uint8 orientation_availability\nbool is_stationary",
+    "TrackedObject": "unique_identifier_msgs/UUID object_id\nfloat32 existence_probability\n"
+    "autoware_perception_msgs/ObjectClassification[] classification\n"
+    "autoware_perception_msgs/TrackedObjectKinematics kinematics\n"
+    "autoware_perception_msgs/Shape shape",
+    "TrackedObjects": "std_msgs/Header header\nautoware_perception_msgs/TrackedObject[] objects",
+}
+# numbers of classes in ObjectClassification; others are not written
+_AUTOWARE_LABELS = {"car": 1, "truck": 2, "bus": 3, "motorcycle": 5, "bicycle": 6, "person": 7}
+# orientation_availability by whether the front is known
+_SIGN_UNKNOWN, _AVAILABLE = 1, 2
+_BOUNDING_BOX = 0  # type of a Shape
+_AUTOWARE = "autoware_perception_msgs/msg"
+
 _TYPES = {
     CALIBRATION: "sensor_msgs/msg/CameraInfo",
     IMAGE: "sensor_msgs/msg/CompressedImage",
     DETECTIONS_2D: "vision_msgs/msg/Detection2DArray",
     DETECTIONS_3D: "vision_msgs/msg/Detection3DArray",
+    TRACKED_OBJECTS: "autoware_perception_msgs/msg/TrackedObjects",
     RANGES: "diagnostic_msgs/msg/DiagnosticArray",
     TRANSFORMS: "tf2_msgs/msg/TFMessage",
     LOG: "rcl_interfaces/msg/Log",
@@ -62,7 +89,10 @@ _TYPES = {
 
 _INFO = 20  # level of information in rcl_interfaces/Log
 _UNKNOWN_VARIANCE = -1.0  # of a position, as ROS drivers mark it
-_UNKNOWN_ROTATION = 1e6  # variance of the orientation, which the images do not show
+_UNKNOWN_VARIANCES = [1e6] * 3  # of a rotation or a speed that is not measured
+_UPRIGHT_RAD2 = 0.03**2  # variance of roll and pitch of an upright cuboid: slopes of 3 %
+# variance of a yaw that may as well be turned by 180 degrees
+_ANY_FRONT_RAD2 = math.pi**2 / 2
 
 
 class Ros2Profile:
@@ -75,6 +105,8 @@ class Ros2Profile:
         self._store = get_typestore(Stores.ROS2_HUMBLE)
         for name, text in VISION_MESSAGES.items():
             self._store.register(get_types_from_msg(text, f"vision_msgs/msg/{name}"))
+        for name, text in AUTOWARE_MESSAGES.items():
+            self._store.register(get_types_from_msg(text, f"{_AUTOWARE}/{name}"))
 
     def schema(self, topic: str) -> tuple[str, str, bytes, str]:
         """Name, encoding and text of the schema of a topic, and the encoding of its messages."""
@@ -92,8 +124,12 @@ class Ros2Profile:
         yield self._message(TRANSFORMS, transforms=transforms)
         in_image = [self._detection_2d(shown, header) for shown in objects]
         yield self._message(DETECTIONS_2D, header=header, detections=in_image)
-        in_space = [self._detection_3d(shown, header) for shown in objects if shown.is_ranged]
+        in_space = [self._detection_3d(shown, header) for shown in objects if shown.has_cuboid]
         yield self._message(DETECTIONS_3D, header=header, detections=in_space)
+        in_vehicle = self._header(time_ns, scene.VEHICLE_FRAME)
+        road_users = [o for o in objects if o.has_cuboid and o.class_name in _AUTOWARE_LABELS]
+        tracked = [self._tracked(shown, parts[1]) for shown in road_users]
+        yield self._message(TRACKED_OBJECTS, header=in_vehicle, objects=tracked)
         yield self._message(
             RANGES, header=header, status=[self._status(shown) for shown in objects]
         )
@@ -136,11 +172,11 @@ class Ros2Profile:
     def _rotation(self, x: float = 0.0, y: float = 0.0, z: float = 0.0, w: float = 1.0) -> Any:
         return self._new("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
 
-    def _pose(self, x: float, y: float, z: float) -> Any:
+    def _pose(self, at_m: Iterable[float], xyzw: Iterable[float]) -> Any:
         return self._new(
             "geometry_msgs/msg/Pose",
-            position=self._vector("Point", x, y, z),
-            orientation=self._rotation(),
+            position=self._vector("Point", *at_m),
+            orientation=self._rotation(*xyzw),
         )
 
     def _calibration(self) -> dict[str, Any]:
@@ -189,26 +225,19 @@ class Ros2Profile:
         return self._detection("Detection2D", shown, header, box)
 
     def _detection_3d(self, shown: scene.TrackObject, header: Any) -> Any:
-        size = self._vector("Vector3", *shown.size_m)
-        box = self._new(
-            "vision_msgs/msg/BoundingBox3D", center=self._pose(*shown.centre_m), size=size
-        )
+        size = self._vector("Vector3", *shown.lwh_m)
+        centre = self._pose(shown.centre_m, shown.xyzw)
+        box = self._new("vision_msgs/msg/BoundingBox3D", center=centre, size=size)
         return self._detection("Detection3D", shown, header, box)
 
     def _detection(self, kind: str, shown: scene.TrackObject, header: Any, box: Any) -> Any:
-        """Box with its class and score, the cuboid's centre and the variance of the distance."""
-        covariance = np.diag([_UNKNOWN_VARIANCE] * 3 + [_UNKNOWN_ROTATION] * 3)
-        if np.isfinite(shown.covariance_m2).all():
-            covariance[:3, :3] = shown.covariance_m2
-        pose = self._pose(*(shown.centre_m if shown.is_ranged else (0.0, 0.0, 0.0)))
+        """Box with its class and score, and the pose of the cuboid."""
         result = self._new(
             "vision_msgs/msg/ObjectHypothesisWithPose",
             hypothesis=self._new(
                 "vision_msgs/msg/ObjectHypothesis", class_id=shown.class_name, score=shown.score
             ),
-            pose=self._new(
-                "geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance.ravel()
-            ),
+            pose=self._pose_of(shown),
         )
         return self._new(
             f"vision_msgs/msg/{kind}",
@@ -217,6 +246,76 @@ class Ros2Profile:
             bbox=box,
             id=str(shown.track_id),
         )
+
+    def _tracked(self, shown: scene.TrackObject, vehicle: scene.Transform) -> Any:
+        """Autoware's message of a track, in the axes of the `vehicle`, of which it is given where
+        the camera is; its twist is in its own axes.
+        """
+        turn = vehicle.turn
+        at_m = turn.apply(shown.centre_m) + vehicle.at_m
+        xyzw = (turn * Rotation.from_quat(shown.xyzw)).as_quat()
+        R = turn.as_matrix()
+        rotation_rad2 = [_UPRIGHT_RAD2, _UPRIGHT_RAD2, shown.yaw_sigma_rad**2]
+        covariance = np.diag([_UNKNOWN_VARIANCE] * 3 + rotation_rad2)
+        covariance[:3, :3] = R @ shown.covariance_m2 @ R.T
+        unknown, zero = np.diag(_UNKNOWN_VARIANCES * 2), self._vector("Vector3", 0.0, 0.0, 0.0)
+        accel = self._new("geometry_msgs/msg/Accel", linear=zero, angular=zero)
+        rates, speed_mps = unknown.copy(), 0.0
+        if "speed_mps" in shown.figures:
+            speed_mps = shown.figures["speed_mps"]
+            rates[0, 0] = shown.figure("speed_sigma_mps") ** 2
+        linear = self._vector("Vector3", speed_mps, 0.0, 0.0)
+        twist = self._new("geometry_msgs/msg/Twist", linear=linear, angular=zero)
+        kinematics = self._new(
+            f"{_AUTOWARE}/TrackedObjectKinematics",
+            pose_with_covariance=self._with_covariance(
+                "Pose", self._pose(at_m.tolist(), xyzw.tolist()), covariance
+            ),
+            twist_with_covariance=self._with_covariance("Twist", twist, rates),
+            acceleration_with_covariance=self._with_covariance("Accel", accel, unknown),
+            orientation_availability=_AVAILABLE if shown.front_known else _SIGN_UNKNOWN,
+            is_stationary=shown.is_parked,
+        )
+        classification = self._new(
+            f"{_AUTOWARE}/ObjectClassification",
+            label=_AUTOWARE_LABELS[shown.class_name],
+            probability=shown.score,
+        )
+        shape = self._new(
+            f"{_AUTOWARE}/Shape",
+            type=_BOUNDING_BOX,
+            footprint=self._new("geometry_msgs/msg/Polygon", points=[]),
+            dimensions=self._vector("Vector3", *shown.lwh_m),
+        )
+        name = uuid5(NAMESPACE_OID, f"track-range track {shown.track_id}")
+        return self._new(
+            f"{_AUTOWARE}/TrackedObject",
+            object_id=self._new(
+                "unique_identifier_msgs/msg/UUID", uuid=np.array([*name.bytes], np.uint8)
+            ),
+            existence_probability=shown.score,
+            classification=[classification],
+            kinematics=kinematics,
+            shape=shape,
+        )
+
+    def _pose_of(self, shown: scene.TrackObject) -> Any:
+        """Pose of the cuboid in the axes of the camera; at the origin, with large variances, if it
+        is unknown.
+        """
+        pose = self._pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+        covariance = np.diag([_UNKNOWN_VARIANCE] * 3 + _UNKNOWN_VARIANCES)
+        if shown.has_cuboid:
+            pose = self._pose(shown.centre_m, shown.xyzw)
+            yaw_rad2 = shown.yaw_sigma_rad**2 + (0.0 if shown.front_known else _ANY_FRONT_RAD2)
+            covariance[range(3, 6), range(3, 6)] = _UPRIGHT_RAD2, yaw_rad2, _UPRIGHT_RAD2
+        if np.isfinite(shown.covariance_m2).all():
+            covariance[:3, :3] = shown.covariance_m2
+        return self._with_covariance("Pose", pose, covariance)
+
+    def _with_covariance(self, kind: str, value: Any, covariance: FloatArray) -> Any:
+        values = {kind.lower(): value, "covariance": covariance.ravel()}
+        return self._new(f"geometry_msgs/msg/{kind}WithCovariance", **values)
 
     def _status(self, shown: scene.TrackObject) -> Any:
         """Figures of a track as text, which PlotJuggler converts to curves."""

@@ -83,7 +83,7 @@ class McapWriter:
         """Write the previous frame, and hold this frame."""
         self._release()
         time_ns = self._time_ns(result)
-        objects = list(track_objects(result, self._info.camera, self._columns))
+        objects = list(track_objects(result, self._columns))
         messages = list(self._profile.frame(objects, time_ns, result.ego_pose))
         image = self._info.shown_image(result) if self._has_images else None
         if image is not None:
