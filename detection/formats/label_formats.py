@@ -23,6 +23,7 @@ LABEL_FORMATS = Registry(
         "cvat": "track_range.detection.formats.video_labels.cvat:CVAT",
         "yolo": "track_range.detection.formats.video_labels.yolo_tracks:YOLO",
         "parquet": "track_range.detection.formats.video_labels.text_tables:PARQUET",
+        "openlabel": "track_range.detection.formats.tool_labels.openlabel:OPENLABEL",
         "tools": "track_range.detection.formats.tool_labels.reader:FORMATS",
     },
     LabelFormat,

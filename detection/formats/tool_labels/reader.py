@@ -5,6 +5,7 @@ Frames are given by number, or by the last number in the name of the image.
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 
@@ -58,13 +59,28 @@ def read_tool(path: Path, tool: Tool, video: VideoFacts) -> BoxTable:
         raise LabelFileError(f"{path}: expected at most {_MAX_FILES} files, found {len(files)}.")
     every_box = (box for file in files for box in _boxes_in(file, tool, path, is_folder=is_folder))
     boxes = list(islice(every_box, MAX_BOXES + 1))
-    if len(boxes) > MAX_BOXES:
-        raise LabelFileError(f"{path}: expected at most {MAX_BOXES} boxes, found more.")
     table_checks.check_one_video((box.video for box in boxes), path)
     images = dict.fromkeys(box.image for box in boxes)
     if is_folder and all(isinstance(image, str) for image in images):
         images = dict.fromkeys(file.name for file in files)  # also those without boxes
-    frame_of, notes = _frames(path, list(images), video)
+    sizes = {size for box in boxes if (size := _size_px(box.size_px)) is not None}
+    facts = VideoFacts(size_px=next(iter(sizes)) if len(sizes) == 1 else None)
+    return table_of_boxes(path, boxes, list(images), video, facts)
+
+
+def table_of_boxes(
+    path: Path,
+    boxes: Sequence[ToolBox],
+    images: Sequence[int | str],
+    video: VideoFacts,
+    stated: VideoFacts,
+) -> BoxTable:
+    """The boxes of a file in the given images; `stated` are the facts in the file. LabelFileError:
+    too many, or invalid values.
+    """
+    if len(boxes) > MAX_BOXES:
+        raise LabelFileError(f"{path}: expected at most {MAX_BOXES} boxes, found more.")
+    frame_of, notes = _frames(path, images, video)
     edges = np.array([box.edges for box in boxes], np.float64).reshape(-1, 4)
     if not (np.abs(edges) <= MAX_COORDINATE_PX).all():
         raise LabelFileError(
@@ -73,8 +89,6 @@ def read_tool(path: Path, tool: Tool, video: VideoFacts) -> BoxTable:
         )
     is_box = np.asarray((edges[:, 2:] > edges[:, :2]).all(axis=1))
     kept = [boxes[row] for row in np.flatnonzero(is_box).tolist()]
-    sizes = {size for box in boxes if (size := _size_px(box.size_px)) is not None}
-    facts = VideoFacts(size_px=next(iter(sizes)) if len(sizes) == 1 else None)
     labels, label_notes = _labels([box.label for box in kept], path, video)
     table = BoxTable.of(
         [frame_of[box.image] for box in kept],
@@ -83,7 +97,10 @@ def read_tool(path: Path, tool: Tool, video: VideoFacts) -> BoxTable:
         edges[is_box] - HALF_PIXEL_PX,
         is_region=np.array([box.is_region for box in kept], np.bool_),
         score=[_number(box.score) for box in kept],
-        video=video.completed_by(facts, path),
+        observed=np.array([not box.is_predicted for box in kept], np.bool_),
+        distance_m=[_number(box.distance_m) for box in kept],
+        sigma_m=[_number(box.sigma_m) for box in kept],
+        video=video.completed_by(stated, path),
         notes=(*notes, *label_notes, *_empty_note(boxes, is_box, path)),
     )
     table_checks.check_identities(table, path)
@@ -99,19 +116,26 @@ def _empty_note(boxes: Sequence[ToolBox], is_box: BoolArray, path: Path) -> tupl
 
 def _boxes_in(file: Path, tool: Tool, path: Path, *, is_folder: bool) -> Iterator[ToolBox]:
     """The boxes of a file of labels at `path`, each with an image; raises LabelFileError."""
-    try:
+    with understood(file, tool.title):
         for item in tool.objects(content_of(file, tool.title)):
             box = tool.box(item)
             table_checks.check_upright(box.rotation, str(file))
             # a file has the name of its image; tools may repeat a wrong name in the file
             is_of_file = box.image == "" or (is_folder and isinstance(box.image, str))
             yield box._replace(image=file.name) if is_of_file else box
+
+
+@contextmanager
+def understood(file: Path, title: str) -> Iterator[None]:
+    """Context that reads the labels of `title`; its errors are LabelFileErrors that name the file."""
+    try:
+        yield
     except LabelFileError as error:
         text = str(error)
-        raise LabelFileError(text if str(path) in text else f"{file}: {text}.") from error
+        raise LabelFileError(text if str(file) in text else f"{file}: {text}.") from error
     except _OTHER_CONTENT as error:
         raise LabelFileError(
-            f"{file}: expected labels of {tool.title}, found other content ({quoted(error)})."
+            f"{file}: expected labels of {title}, found other content ({quoted(error)})."
         ) from error
 
 

@@ -35,6 +35,9 @@ class ToolBox(NamedTuple):
     rotation: object = None  # of a box that is not upright
     video: object = None  # name of its video or camera
     shape: str = "box"  # or what has no width and height, such as a point
+    distance_m: object = None  # of its visible surface
+    sigma_m: object = None
+    is_predicted: bool = False  # without a detection in its frame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

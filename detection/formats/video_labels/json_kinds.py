@@ -4,8 +4,7 @@ from typing import Any
 
 _CONVERT = "export it as COCO or CVAT for video 1.1"
 _KINDS = (  # keys of the document, or of the first item of a list; what it is; what to do
-    ("openlabel", "labels of ASAM OpenLABEL", _CONVERT),
-    ("vcd", "labels of VCD (OpenLABEL)", _CONVERT),
+    ("vcd", "labels of VCD 4", "convert them to OpenLABEL 1.0 with the package vcd"),
     ("items categories", "a data set of Datumaro", "`datum convert -f coco` writes COCO"),
     ("results meta", "results of nuScenes", "export the boxes of one camera as COCO"),
     ("sample_token token", "a table of nuScenes", "export the boxes of one camera as COCO"),

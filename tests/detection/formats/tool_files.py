@@ -176,6 +176,41 @@ FILES = {
     },
 }  # fmt: skip
 
+
+def openlabel(name, i, x, y, w, h):
+    box = {"name": "box2d", "coordinate_system": "CAM", "val": [x + w / 2, y + h / 2, w, h]}
+    return f"{i:08d}-0000-4000-8000-000000000000", {"object_data": {"bbox": [box]}}
+
+
+# openlabel_json_schema-v1.0.0 and section 7.12.1 of the standard
+FILES["openlabel"] = {
+    "openlabel": {
+        "metadata": {"schema_version": "1.0.0"},
+        "streams": {
+            "CAM": {
+                "type": "camera",
+                "uri": "a.mp4",
+                "stream_properties": {
+                    "intrinsics_pinhole": {
+                        "camera_matrix": [100, 0, 50, 0, 0, 100, 25, 0, 0, 0, 1, 0],
+                        "distortion_coeffs": [0, 0, 0, 0, 0],
+                        "width_px": 100,
+                        "height_px": 50,
+                    }
+                },
+            }
+        },
+        "objects": {
+            openlabel("", i, *CAR_0)[0]: {"name": f"{name}{i}", "type": name}
+            for name, i in (("Car", 7), ("Pedestrian", 8))
+        },
+        "frames": {
+            str(f): {"frame_properties": {"timestamp": 100 + f / 10}, "objects": dict(items)}
+            for f, items in by_frame(openlabel).items()
+        },
+    }
+}
+
 VOC = (
     "<annotation><folder>a</folder><filename>wrong.jpg</filename><size><width>100</width><height>50</height></size>{}"
     "</annotation>"
