@@ -151,12 +151,11 @@ def _boxes(
 ) -> Iterator[ToolBox]:
     """The boxes of the camera in all frames; a cuboid that has no image is a shape."""
     objects, view = _part(root, "objects"), _view(root, camera)
-    static = [uid for uid in objects if any(_listed(objects[uid], *_SHAPES))]
+    static = {uid: item for uid, item in objects.items() if any(_listed(item, *_SHAPES))}
     for frame, content in frames.items():
         image, dynamic = _image(frame, content, camera), _part(content, "objects")
         steps = steps_of(_part(content, "frame_properties", "transforms"))
-        shown = [uid for uid in static if _is_in(objects[uid], frame)]
-        for uid in dict.fromkeys([*dynamic, *shown]):
+        for uid in dict.fromkeys(chain(dynamic, _in_frame(static, frame))):
             items = objects[uid], dynamic.get(uid, {})
             cuboids = [cuboid for item in items for cuboid in _listed(item, "cuboid")]
             seen = None if view is None else view.seen(cuboids, steps)
@@ -200,10 +199,12 @@ def _edges(box: Object) -> list[float]:
     return [x - width / 2, y - height / 2, x + width / 2, y + height / 2]
 
 
-def _is_in(item: Object, frame: int) -> bool:
-    """Whether an object exists in a frame, as it does in all frames without intervals."""
-    spans = item.get("frame_intervals")
-    return not spans or any(span["frame_start"] <= frame <= span["frame_end"] for span in spans)
+def _in_frame(objects: Mapping[str, Object], frame: int) -> Iterator[str]:
+    """The objects that exist in a frame, as those without intervals do in all frames."""
+    for uid, item in objects.items():
+        spans = item.get("frame_intervals")
+        if not spans or any(span["frame_start"] <= frame <= span["frame_end"] for span in spans):
+            yield uid
 
 
 def _part(item: Object, *names: str) -> Object:
