@@ -150,22 +150,34 @@ def _boxes(
     root: Object, frames: Mapping[int, Object], camera: str, *, has_boxes: bool
 ) -> Iterator[ToolBox]:
     """The boxes of the camera in all frames; a cuboid that has no image is a shape."""
-    objects, view = _part(root, "objects"), _view(root, camera)
+    view = _view(root, camera)
+    for frame, uid, items in _objects(root, frames):
+        cuboids = [cuboid for item in items for cuboid in _listed(item, "cuboid")]
+        steps = steps_of(_part(frames[frame], "frame_properties", "transforms"))
+        seen = None if view is None else view.seen(cuboids, steps)
+        label = _KIND.sub("", re.split("[#/]", str(items[0]["type"]))[-1])
+        image = _image(frame, frames[frame], camera)
+        common = ToolBox(image, label, _NO_EDGES, uid, shape="cuboid")
+        if has_boxes or not cuboids:
+            yield from _boxes_of(items, camera, common, seen)
+        else:
+            edges = _NO_EDGES if seen is None else seen.outline()
+            yield _box(common._replace(edges=edges), _values(*items), seen)
+
+
+def _objects(
+    root: Object, frames: Mapping[int, Object]
+) -> Iterator[tuple[int, str, tuple[Object, Object]]]:
+    """The number of each frame with the objects in it, each as it is in all frames, and in this
+    one; those without intervals of frames are in all frames.
+    """
+    objects = _part(root, "objects")
     static = {uid: item for uid, item in objects.items() if any(_listed(item, *_SHAPES))}
     for frame, content in frames.items():
-        image, dynamic = _image(frame, content, camera), _part(content, "objects")
-        steps = steps_of(_part(content, "frame_properties", "transforms"))
-        for uid in dict.fromkeys(chain(dynamic, _in_frame(static, frame))):
-            items = objects[uid], dynamic.get(uid, {})
-            cuboids = [cuboid for item in items for cuboid in _listed(item, "cuboid")]
-            seen = None if view is None else view.seen(cuboids, steps)
-            label = _KIND.sub("", re.split("[#/]", str(objects[uid]["type"]))[-1])
-            common = ToolBox(image, label, _NO_EDGES, uid, shape="cuboid")
-            if has_boxes or not cuboids:
-                yield from _boxes_of(items, camera, common, seen)
-            else:
-                edges = _NO_EDGES if seen is None else seen.outline()
-                yield _box(common._replace(edges=edges), _values(*items), seen)
+        dynamic = _part(content, "objects")
+        shown = (uid for uid, item in static.items() if _is_in(item, frame))
+        for uid in dict.fromkeys(chain(dynamic, shown)):
+            yield frame, uid, (objects[uid], dynamic.get(uid, {}))
 
 
 def _boxes_of(
@@ -199,12 +211,9 @@ def _edges(box: Object) -> list[float]:
     return [x - width / 2, y - height / 2, x + width / 2, y + height / 2]
 
 
-def _in_frame(objects: Mapping[str, Object], frame: int) -> Iterator[str]:
-    """The objects that exist in a frame, as those without intervals do in all frames."""
-    for uid, item in objects.items():
-        spans = item.get("frame_intervals")
-        if not spans or any(span["frame_start"] <= frame <= span["frame_end"] for span in spans):
-            yield uid
+def _is_in(item: Object, frame: int) -> bool:
+    spans = item.get("frame_intervals")
+    return not spans or any(span["frame_start"] <= frame <= span["frame_end"] for span in spans)
 
 
 def _part(item: Object, *names: str) -> Object:
