@@ -256,6 +256,7 @@ MOST_STATEMENTS = {
     # pixel formats of cameras as one table, also for bags (60), and times in nanoseconds (45)
     # values of more bits than a pixel format has (4)
     # depth of RealSense, OAK and ZED in bags: encodings, units, alignment, times (203)
+    # speeds of ASAM MDF and of frames of a CAN bus, by signal and database (206)
     "recording": 8_422,
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)
@@ -304,6 +305,7 @@ MOST_STATEMENTS = {
     # earlier scenarios are checked before one is removed (1)
     # the visibility of the latest frames, among the health of pipelines (6)
     # options of methods and networks, and their part of the summary (110)
+    # the signal of the speed, and the database of a bus (6)
     "run": 3_164,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that
     # look to any side from any place of the vehicle (24)

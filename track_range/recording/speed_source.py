@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.files.input_files import first_line
+from track_range.foundation.files.input_files import alternatives, first_line
 from track_range.foundation.files.numeric_text import number
 from track_range.recording.recording import Recording
 from track_range.recording.sources.bags.bag import is_bag
@@ -25,7 +25,9 @@ from track_range.recording.telemetry.sidecars.reading import (
     SPEED_TABLE_SUFFIXES,
     kind_of,
     sidecar_suffixes,
+    signal_suffixes,
 )
+from track_range.recording.telemetry.sidecars.sidecar import ANY_SIGNAL, SignalChoice
 from track_range.recording.telemetry.sidecars.speed_csv import (
     has_positions,
     is_telemetry_header,
@@ -88,14 +90,20 @@ class SpeedSource:
         }
 
 
-def open_speed(setting: str, recording: Recording, mounting: Mounting | None = None) -> SpeedSource:
+def open_speed(
+    setting: str,
+    recording: Recording,
+    mounting: Mounting | None = None,
+    choice: SignalChoice = ANY_SIGNAL,
+) -> SpeedSource:
     """Ego speed of a run from a setting: "auto", "off", a number in km/h, or the path of a file or
     folder; with the `mounting` of the camera that of the vehicle, else along the camera's axis.
+    `choice` is the signal of a log with many.
 
     The motion of the images is measured in the part of the recording that is read. Raises
     EgoSpeedError or TelemetryError if the number or the named file cannot be used.
     """
-    source = _opened(setting, recording, mounting)
+    source = _opened(setting, recording, mounting, choice)
     if source.ego is None:
         return source
     ego = source.ego if mounting is None else source.ego.of_vehicle()
@@ -112,7 +120,9 @@ def open_speed(setting: str, recording: Recording, mounting: Mounting | None = N
     return replace(source, ego=ego, notes=notes)
 
 
-def _opened(setting: str, recording: Recording, mounting: Mounting | None) -> SpeedSource:
+def _opened(
+    setting: str, recording: Recording, mounting: Mounting | None, choice: SignalChoice
+) -> SpeedSource:
     if setting == OFF:
         return SpeedSource()
     reader, options = recording.videos[0], recording.options
@@ -140,7 +150,7 @@ def _opened(setting: str, recording: Recording, mounting: Mounting | None) -> Sp
         if not parts and recording.live is None:  # a topic of a bag
             length_s = (reader.n_total or 0) / reader.fps
             parts = (VideoPart(Path(str(reader.path)), 0.0, length_s, recording.start_utc),)
-        return _named(setting, parts, motion)
+        return _named(setting, parts, motion, choice)
     if not parts:
         return SpeedSource()
     source = _table_beside(parts[0])
@@ -149,7 +159,7 @@ def _opened(setting: str, recording: Recording, mounting: Mounting | None) -> Sp
         own += [Path(str(video.path)) for video in recording.videos]
         shared = shared_note(source.files[0], own)
         source = replace(source, origin=source.origin + shared)
-    return source if source.ego is not None else _automatic(parts, motion, source.notes)
+    return source if source.ego is not None else _automatic(parts, motion, source.notes, choice)
 
 
 def _file_at(
@@ -173,14 +183,23 @@ _NO_MOTION = MotionSeries(
 
 
 def _named(
-    setting: str, parts: Sequence[VideoPart], motion: Callable[[], MotionSeries]
+    setting: str,
+    parts: Sequence[VideoPart],
+    motion: Callable[[], MotionSeries],
+    choice: SignalChoice,
 ) -> SpeedSource:
     path = Path(setting)
+    if choice != ANY_SIGNAL and path.suffix.lower() not in signal_suffixes():
+        raise EgoSpeedError(
+            f"--ego-speed {setting}: expected a log with signals ({alternatives(signal_suffixes())}) "
+            "with --speed-channel or --dbc; of a table, rename the column to ego_speed_mps or "
+            "ego_speed_kmh."
+        )
     is_log = (path.is_file() and not _is_table(path)) or (path.is_dir() and is_bag(path))
     if math.isfinite(number(setting)) or not is_log or not parts:
         ego, notes = _checked(open_ego_speed(setting), parts)
         return SpeedSource(ego=ego, notes=notes)
-    source, problem = _with_images(named_telemetry(path, parts), motion())
+    source, problem = _with_images(named_telemetry(path, parts, choice), motion())
     if problem is not None:
         raise TelemetryError(f"{path}: cannot be used as ego speed: {problem}.")
     return source
@@ -265,11 +284,14 @@ def _checked(ego: EgoSpeed, parts: Sequence[VideoPart]) -> tuple[EgoSpeed, tuple
 
 
 def _automatic(
-    parts: Sequence[VideoPart], motion: Callable[[], MotionSeries], notes: tuple[str, ...]
+    parts: Sequence[VideoPart],
+    motion: Callable[[], MotionSeries],
+    notes: tuple[str, ...],
+    choice: SignalChoice,
 ) -> SpeedSource:
     """Ego speed from the telemetry inside or beside the video files; notes on unusable files."""
     measured: MotionSeries | None = None
-    for telemetry in candidates(parts):
+    for telemetry in candidates(parts, choice):
         notes = (*notes, *telemetry.notes)
         if telemetry.track is None:
             continue

@@ -83,6 +83,8 @@ class RunKeywords(PipelineKeywords, total=False):
     bayer: Literal["rggb", "bggr", "gbrg", "grbg"] | None
     start_utc: str | None
     ego_speed: str | Path | float | None
+    speed_channel: str | None
+    dbc: str | Path | None
     truth: str | Path | None
     truth_calib: str | Path | None
     truth_poses: str | Path | None

@@ -9,10 +9,9 @@ import numpy as np
 
 from tests.support.results.frame_results import changed, result
 from track_range.pipeline.alarming import Alarms
+from track_range.pipeline.world import World
 from track_range.ranging.warning.safety import SafetyMeasures
-from track_range.ranging.world.cuboids import Cuboids
 from track_range.ranging.world.object_motion import ObjectMotion
-from track_range.ranging.world.placement import Placement
 from track_range.results.formats.run_info import RunInfo
 from track_range.stereo.geometry.camera import PinholeCamera
 
@@ -45,6 +44,5 @@ def frame(index: int) -> Any:
     safety = SafetyMeasures.unknown(1)
     motion = ObjectMotion(*(getattr(given.motion, name)[1:] for name in ObjectMotion.__slots__))
     alarms = Alarms(warnings, safety, given.alarms.has_warnings, given.alarms.has_safety)
-    given = replace(given, world=replace(given.world, placement=Placement.unknown(1)))
-    rows["cuboids"] = Cuboids.unknown(1)
+    given = replace(given, world=replace(World.unknown(1), ego_pose=given.ego_pose))
     return changed(given, tracks=tracks, ranges=ranges, motion=motion, alarms=alarms, **rows)

@@ -13,12 +13,7 @@ from tests.support.results.frame_results import changed
 from tests.track_range.results.moving_frames import PERIOD_S, START_S, frame, info
 from track_range.ranging.warning.safety import SafetyMeasures
 from track_range.results.formats.adas import mdf_file
-from track_range.results.formats.adas.mdf_file import (
-    EGO_CHANNELS,
-    comment_of,
-    lead_channels,
-    object_channels,
-)
+from track_range.results.formats.adas.mdf_file import channels_of, comment_of
 from track_range.results.writers import OpenWriters
 
 asammdf = pytest.importorskip("asammdf", reason="asammdf is not installed (extra adas)")
@@ -123,7 +118,7 @@ def test_slots_are_empty_for_a_frame(tmp_path):
     with asammdf.MDF(written(tmp_path, frames)) as mdf:
         nan = math.nan
         np.testing.assert_array_equal(channel(mdf, "obj_01_id"), [3, 3, nan, nan, 11])
-        np.testing.assert_array_equal(channel(mdf, "obj_03_id"), [nan, nan, 9, 9, nan])
+        np.testing.assert_array_equal(channel(mdf, "obj_03_id"), [9, 9, nan])
         assert mdf.header.start_time.timestamp() == 0
         assert "not known" in mdf.header.comment
 
@@ -139,9 +134,8 @@ def test_discarded_frame_and_runs_without_frames(tmp_path):
             writers.close(None)
         with asammdf.MDF(folder / "run.mf4") as mdf:
             n_left = max(n_frames - 1, 0)
-            assert [group.channel_group.cycles_nr for group in mdf.groups] == [n_left] * (
-                4 if n_left else 2
-            )
+            n_samples = [group.channel_group.cycles_nr for group in mdf.groups]
+            assert n_samples == [n_left] * (4 if n_left else 0)
 
 
 def test_other_readers(path):
@@ -170,5 +164,5 @@ def table(channels):
 def test_channels_are_documented():
     page = PAGES["docs/how-to/adas-formats.md"].partition("## MDF4")[2].partition("\n## ")[0]
     rows = [line for line in page.splitlines() if line.startswith("| `")]
-    slots = [replace(one, name=f"obj_NN_{one.name}") for one in object_channels()]
-    assert rows == [*table(EGO_CHANNELS), *table(lead_channels()), *table(slots)]
+    groups = ("ego", "lead", "obj_NN")
+    assert rows == [row for group in groups for row in table(channels_of(group))]

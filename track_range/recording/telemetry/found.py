@@ -9,6 +9,7 @@ Telemetry that cannot be used is a note, and the next file is tried.
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -38,6 +39,7 @@ from track_range.recording.telemetry.sidecars.reading import (
     read_sidecar,
     sidecar_suffixes,
 )
+from track_range.recording.telemetry.sidecars.sidecar import ANY_SIGNAL, SignalChoice
 from track_range.recording.telemetry.tracks.track import COLUMNS, TelemetryError, TelemetryTrack
 from track_range.recording.telemetry.video_clock import check_covered, on_video_clock
 from track_range.recording.video.video import VideoPart
@@ -70,17 +72,21 @@ class FoundTelemetry:
 Read = Callable[[VideoPart], tuple[TelemetryTrack, Path] | None]  # None = the file has no telemetry
 
 
-def candidates(parts: Sequence[VideoPart]) -> Iterator[FoundTelemetry]:
+def candidates(
+    parts: Sequence[VideoPart], choice: SignalChoice = ANY_SIGNAL
+) -> Iterator[FoundTelemetry]:
     """Telemetry of a recording from each source that has any, best first; without a track where
     none can be used.
     """
-    for read in (_inside, _beside):
+    for read in (_inside, partial(_beside, choice=choice)):
         telemetry = _of_parts(parts, read)
         if telemetry.track is not None or telemetry.notes:
             yield telemetry
 
 
-def named_telemetry(path: Path, parts: Sequence[VideoPart]) -> FoundTelemetry:
+def named_telemetry(
+    path: Path, parts: Sequence[VideoPart], choice: SignalChoice = ANY_SIGNAL
+) -> FoundTelemetry:
     """Telemetry of a file that the user names, for the whole recording; raises TelemetryError if it
     is unusable.
     """
@@ -91,7 +97,9 @@ def named_telemetry(path: Path, parts: Sequence[VideoPart]) -> FoundTelemetry:
     kind = kind_of(path)
     track = None
     if not is_sidecar or not kind:
-        track = read_sidecar(path, first.path.name, whole_s) if is_sidecar else _in_video(path)
+        track = (
+            read_sidecar(path, first.path.name, whole_s, choice) if is_sidecar else _in_video(path)
+        )
     if track is None:
         raise TelemetryError(
             f"{path}: expected speeds or positions with times, found {kind or 'none'}."
@@ -158,7 +166,7 @@ def _first_with_fix(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack 
     return without_fix
 
 
-def _beside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
+def _beside(part: VideoPart, choice: SignalChoice) -> tuple[TelemetryTrack, Path] | None:
     """The first usable file beside a video; if there is none, the error of the first unusable
     file.
     """
@@ -168,7 +176,7 @@ def _beside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
         if not path.is_file() or path == part.path:
             continue
         try:
-            track = read_sidecar(path, part.path.name, part.duration_s)
+            track = read_sidecar(path, part.path.name, part.duration_s, choice)
             if track is not None:
                 _checked(track, path, part)  # another file may be better
                 return track, path

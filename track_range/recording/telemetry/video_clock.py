@@ -61,6 +61,11 @@ def on_video_clock(track: TelemetryTrack, part: VideoPart) -> tuple[TelemetryTra
         raise TelemetryError(_no_overlap(track, part.utc.start_s, part.duration_s))
     together = [fit for fit in fits if abs(float(track.time_s[0]) + fit[0] - fit[1]) <= _START_S]
     if len(together or fits) > 1:
+        if track.clock == "local":
+            raise TelemetryError(
+                "its local times fit the video in several time zones; cut it to the time of the "
+                "video, or convert its times to UTC."
+            )
         raise TelemetryError(
             "the start of the video is not known well enough to match the times; give the time of "
             "the first frame with --start-utc."

@@ -233,6 +233,24 @@ class InputOptions(Options):
         ),
     ] = "auto"
 
+    speed_channel: Annotated[
+        str | None,
+        _fact_option(
+            "With a log of many signals (MF4, BLF, ASC), the name of the speed, perhaps after that of "
+            "its group or message: 'ESP.VehicleSpeed', 'VehicleSpeed [km/h]' where the log states no "
+            "unit (default: the only signal with a unit of speed).",
+            metavar="NAME",
+        ),
+    ] = None
+    dbc: Annotated[
+        Path | None,
+        _fact_option(
+            "Database (DBC) of the messages in a log of a CAN bus (BLF, ASC, MF4); J1939's vehicle "
+            "speed needs none.",
+            metavar="FILE",
+        ),
+    ] = None
+
     @field_validator("stereo", mode="before")
     @classmethod
     def _pair_of_names(cls, pair: Any) -> Any:

@@ -383,7 +383,8 @@ def test_a_named_file_of_another_drive(tmp_path):
     [
         ("event.json", "Tesla"),
         ("rlog.zst", "openpilot"),
-        ("can.blf", "CAN bus"),
+        ("can.trc", "CAN bus"),
+        ("can.blf", "a BLF file, found another format"),
         ("track.kmz", "KML"),
         ("gps.ubx", "NMEA"),
     ],

@@ -58,6 +58,7 @@ def test_header_that_states_the_end():
         (track(START_S + 1234), part(), "another drive"),
         (track(START_S - 40_000, n=80_000), part(is_local=True), "--start-utc"),
         (track(START_S, n=500), part(start_s=None), "--start-utc"),
+        (track(START_S - 9000, n=18_000, clock="local"), part(), "several time zones"),
     ],
 )
 def test_times_that_cannot_be_matched(given, video, word):

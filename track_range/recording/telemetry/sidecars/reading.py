@@ -12,7 +12,7 @@ from pathlib import Path
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import first_line
 from track_range.foundation.registry import Registry
-from track_range.recording.telemetry.sidecars.sidecar import Sidecar
+from track_range.recording.telemetry.sidecars.sidecar import ANY_SIGNAL, Sidecar, SignalChoice
 from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 
 # speeds beside a video that are no telemetry: a table, KITTI's folder
@@ -29,6 +29,8 @@ SIDECARS = Registry(
         "vbo": "track_range.recording.telemetry.sidecars.vbo:VBO",
         "xml": "track_range.recording.telemetry.sidecars.xml_tracks:XML_TRACK",
         "fit": "track_range.recording.telemetry.sidecars.fit:FIT",
+        "mdf": "track_range.recording.telemetry.sidecars.signal_logs:MDF",
+        "can": "track_range.recording.telemetry.sidecars.signal_logs:FRAMES",
         "70mai": "track_range.recording.telemetry.sidecars.seventymai:SEVENTYMAI",
         "nmea-text": "track_range.recording.telemetry.sidecars.nmea:NMEA_TEXT",
         "text-log": "track_range.recording.telemetry.sidecars.speed_csv:TEXT_LOG",
@@ -63,17 +65,30 @@ def sidecar_names(video: str) -> tuple[str, ...]:
     return (*names, *(form.file_name for form in SIDECARS.by_priority if form.file_name))
 
 
-def read_sidecar(path: Path, video: str, duration_s: float) -> TelemetryTrack | None:
+def signal_suffixes() -> tuple[str, ...]:
+    """Suffixes of logs with many signals, of which the user may name one."""
+    forms = [form for form in SIDECARS.by_priority if form.read_signal is not None]
+    return tuple(end for form in forms for end in form.suffixes)
+
+
+def read_sidecar(
+    path: Path, video: str, duration_s: float, choice: SignalChoice = ANY_SIGNAL
+) -> TelemetryTrack | None:
     """Telemetry of a file, by its suffix; None = it has none.
 
     The video to which it belongs has the name `video`, and lasts `duration_s`; 0 = unknown. A
     TelemetryError means that the file cannot be read or used.
     """
     suffix = path.suffix.lower()
-    tracks = SIDECARS.answers(
-        lambda form: form.read(path, video, duration_s) if suffix in form.suffixes else None,
-        is_last_raised=True,
-    )
+
+    def answer(form: Sidecar) -> TelemetryTrack | None:
+        if suffix not in form.suffixes:
+            return None
+        if form.read_signal is not None:
+            return form.read_signal(path, choice)
+        return form.read(path, video, duration_s)
+
+    tracks = SIDECARS.answers(answer, is_last_raised=True)
     return next((track for _, track in tracks if track is not None), None)
 
 
@@ -89,10 +104,11 @@ _KINDS = (  # files without telemetry that can be read: pattern of name or first
     ),
     (
         re.compile(
-            r"\.(mf4|mdf|blf|asc|dbc|trc)$|^\(\d+\.\d+\) +\w+ +[\dA-F]+#|^;\$FILEVERSION",
+            r"\.(dbc|trc)$|^\(\d+\.\d+\) +\w+ +[\dA-F]+#|^;\$FILEVERSION",
             re.IGNORECASE,
         ),
-        "a log of a CAN bus; export the speed as CSV with its unit in the heading",
+        "a log of a CAN bus; convert it to BLF with `python -m can.logconvert`, or export the speed "
+        "as CSV with its unit in the heading",
     ),
     (
         re.compile(r"^%DataLog%"),

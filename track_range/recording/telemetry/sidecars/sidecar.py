@@ -11,12 +11,26 @@ SidecarReader = Callable[[Path, str, float], TelemetryTrack | None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SignalChoice:
+    """The speed among the signals of a log, as the user names it."""
+
+    name: str = ""  # of a signal, perhaps after that of its group or message; "" = the only speed
+    database: Path | None = None  # DBC of the messages of a bus
+
+
+ANY_SIGNAL = SignalChoice()
+SignalReader = Callable[[Path, SignalChoice], TelemetryTrack | None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Sidecar:
     """Suffixes and reader of a format."""
 
     suffixes: tuple[str, ...]  # of its files, in lower case
     # None = a file without telemetry, or of another format with this suffix; raises TelemetryError
     read: SidecarReader
+    # of logs with many signals: the same for a signal that the user names
+    read_signal: SignalReader | None = None
     file_name: str = ""  # of a file that does not have the name of the video
     # files of higher priority are looked for first, and formats with the same suffix are tried in
     # this order, see `foundation.registry.Registry`

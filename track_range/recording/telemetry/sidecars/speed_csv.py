@@ -38,7 +38,7 @@ from track_range.recording.telemetry.tracks.track import (
 )
 
 _SPEED = re.compile(r"speed|velocity|(?<![a-z])v(?:el)?_(?:mps|kmh)")
-_NOT_SPEED = re.compile(
+NOT_SPEED = re.compile(
     r"vertical|3d|accura|limit|wind|sigma|error|z.?speed|angular|accel|fan|engine|rpm|unit|valid|flag|status|"
     r"max|avg|average|target|front|lead|preced|ahead|object|other|(?<![a-z])(?:obj|rel|set)(?![a-z])|relative|diff|"
     r"delta|cruise|allowed|desired|predicted|closing|approach|pedestrian|climb"
@@ -128,7 +128,7 @@ def is_telemetry_header(header: Sequence[str]) -> bool:
     time = _time_column(header)
     others = [name for name in header if name != time]
     has_speed = (
-        _columns(others, _SPEED, _NOT_SPEED) or _components(others) or _columns(others, _LATITUDE)
+        _columns(others, _SPEED, NOT_SPEED) or _components(others) or _columns(others, _LATITUDE)
     )
     is_data = any(_MOMENT.search(name) or "{" in name for name in header)
     return bool(has_speed) and time is not None and not is_data
@@ -289,7 +289,7 @@ def _speeds(table: CsvTable) -> list[_Speeds]:
         groups[stem, unit_in(name) or usual].setdefault(axis, name)
     speeds = [
         _Speeds(name, _rank(name), unit_in(name) or usual, _numbers(table, name))
-        for name in _columns(table.header, _SPEED, _NOT_SPEED)
+        for name in _columns(table.header, _SPEED, NOT_SPEED)
         if name not in components
     ]
     for (_, unit), by_axis in groups.items():
@@ -327,7 +327,7 @@ def _components(header: Sequence[str]) -> dict[str, tuple[str, str]]:
         if (
             axis is not None
             and _VELOCITY.search(name.replace("_", " "))
-            and not _NOT_SPEED.search(name)
+            and not NOT_SPEED.search(name)
         ):
             stem = name.replace("_", " ").replace(axis[0], "", 1)
             components[heading] = (stem, _AXES.get(axis[1], axis[1]))
@@ -355,7 +355,7 @@ def _wide(table: CsvTable) -> CsvTable:
         for pid, unit in zip(table.texts("pid"), table.texts("units"), strict=True)
     ]
     speeds = [
-        name for name in dict.fromkeys(names) if _SPEED.search(name) and not _NOT_SPEED.search(name)
+        name for name in dict.fromkeys(names) if _SPEED.search(name) and not NOT_SPEED.search(name)
     ]
     if not speeds:
         return table

@@ -95,14 +95,14 @@ def write_positions(path: Path, track: TelemetryTrack, *, first_s: float, last_s
     write_text(path, "\n".join(map(",".join, (columns, *zip(*cells, strict=True)))) + "\n")
 
 
-def optional_package(package: str, source: str) -> Any:
-    """A package of the extra [telemetry]; raises TelemetryError, which names the file `source`, if
-    it is missing.
+def optional_package(package: str, source: str, extra: str = "telemetry") -> Any:
+    """A package of an extra; raises TelemetryError, which names the file `source`, if it is
+    missing.
     """
     try:
         return import_module(package)
     except ImportError as error:
         raise TelemetryError(
             f"{source}: this file requires the package {package}; install it with: pip install "
-            '"track-range[telemetry]"'
+            f'"track-range[{extra}]"'
         ) from error

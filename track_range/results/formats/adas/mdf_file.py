@@ -1,8 +1,8 @@
 """run.mf4: ASAM MDF 4.11 with the ego vehicle, the lead vehicle, and the tracks in object slots.
 
-A group of channels for the ego vehicle, one for the lead vehicle, and one for each slot, with a
-sample per frame. A track keeps its slot while it lives, and the slot is then empty for a frame.
-What is not known has the channel's invalidation bit. Numbers are 32-bit floats.
+A group of channels for the ego vehicle, one for the lead vehicle, and one for each slot from its
+first track on, with a sample per frame. A track keeps its slot while it lives, and the slot is then
+empty for a frame. What is not known has the channel's invalidation bit. Numbers are 32-bit floats.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from typing import Any, Final
 from xml.sax.saxutils import escape
 
 import numpy as np
-import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.atomic_files import atomic_path
@@ -66,6 +65,24 @@ _OF_OBJECTS: Mapping[str, str] = {  # channel of a slot, column of the rows
     "contact_probability": "contact_probability",
     "warning": "warning",
     "is_lead": "is_lead",
+    "length": "length_m",
+    "length_sigma": "length_sigma_m",
+    "width": "width_m",
+    "width_sigma": "width_sigma_m",
+    "height": "height_m",
+    "height_sigma": "height_sigma_m",
+    "yaw": "yaw_deg",
+    "yaw_sigma": "yaw_sigma_deg",
+    "front_known": "front_known",
+    "centre_x": "centre_x_m",
+    "centre_x_sigma": "centre_x_sigma_m",
+    "centre_y": "centre_y_m",
+    "centre_y_sigma": "centre_y_sigma_m",
+    "centre_z": "centre_z_m",
+    "centre_z_sigma": "centre_z_sigma_m",
+    "centre_vehicle_x": "centre_vehicle_x_m",
+    "centre_vehicle_y": "centre_vehicle_y_m",
+    "centre_vehicle_z": "centre_vehicle_z_m",
 }
 _OF_LEAD: Mapping[str, str] = {
     "id": "track_id",
@@ -80,45 +97,30 @@ _OF_LEAD: Mapping[str, str] = {
     "ttc": "ttc_front_s",
     "deceleration_required": "drac_mps2",
 }
-_AGE = ResultColumn("age", "s", "", "time since the first frame of the track")
-_LEAD_SIGMAS = (
-    ResultColumn("headway_sigma", "s", "", ""),
-    ResultColumn("ttc_sigma", "s", "", ""),
-    ResultColumn("deceleration_required_sigma", "m/s2", "", ""),
-)
-EGO_CHANNELS = (
-    ResultColumn(
-        "ego_speed", "m/s", "ego.speed_mps", "speed of the camera along its axis, forwards"
+_COMPUTED: Mapping[str, tuple[ResultColumn, ...]] = {  # channels that are no columns, by group
+    "ego": (
+        ResultColumn("speed", "m/s", "", "speed of the camera along its axis, forwards"),
+        ResultColumn("speed_sigma", "m/s", "", ""),
+        ResultColumn("yaw_rate", "rad/s", "", "yaw rate, positive to the left"),
+        ResultColumn("x", "m", "", "position of the camera in the frame map, along its first axis"),
+        ResultColumn("y", "m", "", "position of the camera in the frame map, to the left"),
+        ResultColumn("heading", "rad", "", "heading in the frame map, counterclockwise"),
     ),
-    ResultColumn("ego_speed_sigma", "m/s", "ego.speed_sigma_mps", ""),
-    ResultColumn("ego_yaw_rate", "rad/s", "ego.yaw_rad_s", "yaw rate, positive to the left"),
-    ResultColumn("ego_x", "m", "ego_pose.x_m", "position in the frame map, along its first axis"),
-    ResultColumn("ego_y", "m", "ego_pose.y_m", "position in the frame map, to the left"),
-    ResultColumn(
-        "ego_heading", "rad", "ego_pose.heading_rad", "heading in the frame map, counterclockwise"
+    "lead": (
+        ResultColumn("headway_sigma", "s", "", ""),
+        ResultColumn("ttc_sigma", "s", "", ""),
+        ResultColumn("deceleration_required_sigma", "m/s2", "", ""),
     ),
-)
+    "obj": (ResultColumn("age", "s", "", "time since the first frame of the track"),),
+}
+_COLUMNS: Mapping[str, Mapping[str, str]] = {"ego": {}, "lead": _OF_LEAD, "obj": _OF_OBJECTS}
 
 
-def object_channels() -> tuple[ResultColumn, ...]:
-    """The channels of a slot, whose names are without the slot."""
-    return (*_renamed(_OF_OBJECTS), _AGE)
-
-
-def lead_channels() -> tuple[ResultColumn, ...]:
-    """The channels of the lead vehicle, by their names in the file."""
-    channels = (*_renamed(_OF_LEAD), *_LEAD_SIGMAS)
-    return tuple(replace(channel, name=f"lead_{channel.name}") for channel in channels)
-
-
-def _renamed(columns: Mapping[str, str]) -> tuple[ResultColumn, ...]:
-    declared = declared_columns()
-    return tuple(replace(declared[column], name=name) for name, column in columns.items())
-
-
-def slot_name(slot: int) -> str:
-    """Start of the names of the channels of a slot, from 0."""
-    return f"obj_{slot + 1:02d}"
+def channels_of(group: str) -> tuple[ResultColumn, ...]:
+    """The channels of the group "ego", "lead", or of a slot such as "obj_01", by their names."""
+    kind, declared = group.partition("_")[0], declared_columns()
+    columns = [replace(declared[of], name=name) for name, of in _COLUMNS[kind].items()]
+    return tuple(replace(one, name=f"{group}_{one.name}") for one in (*columns, *_COMPUTED[kind]))
 
 
 def comment_of(channel: ResultColumn) -> str:
@@ -142,12 +144,10 @@ class MdfWriter:
         self.check_requirements()
         from asammdf import MDF
 
-        self._info, self._path = info, folder / MDF_FILE
-        self._mdf = MDF(version=_VERSION)
-        self._objects, self._lead = object_channels(), _renamed(_OF_LEAD)
-        self._groups = [("ego", EGO_CHANNELS), ("lead", lead_channels())]
-        self._times_s: list[float] = []  # of all frames
-        self._frames: list[list[FloatArray]] = []  # buffered values of each group
+        self._info, self._path, self._mdf = info, folder / MDF_FILE, MDF(version=_VERSION)
+        self._declared = declared_columns()
+        self._groups: dict[str, int] = {}  # in the temporary file
+        self._frames: list[tuple[float, dict[str, FloatArray]]] = []  # buffered, values by group
         self._slots: list[tuple[int, float] | None] = []  # track and its first time
         self._slots_before = self._slots
 
@@ -156,23 +156,24 @@ class MdfWriter:
         if len(self._frames) == _N_BUFFERED:
             self._flush()
         self._slots_before, self._slots = self._slots, self._slots_of(result)
-        values = _object_values(result, self._objects[:-1])
-        track_ids = result.tracks.track_id.tolist()
-        frame = [_ego_values(result), _lead_values(result, self._lead)]
-        for slot in self._slots:
-            row = np.full(len(self._objects), np.nan)
-            if slot is not None:
-                track_id, first_s = slot
-                row[:-1], row[-1] = values[:, track_ids.index(track_id)], result.time_s - first_s
-            frame.append(row)
-        self._times_s.append(result.time_s)
-        self._frames.append(frame)
+        ego, pose = result.ego, result.ego_pose
+        speeds = ego.speed_mps, ego.speed_sigma_mps, -ego.yaw_rad_s
+        frame = {"ego": np.array([*speeds, pose.x_m, pose.y_m, pose.heading_rad])}
+        values = _values(result, self._declared)
+        leads = np.flatnonzero(values["is_lead"] == 1)
+        frame["lead"] = _lead_values(result, self._declared, int(leads[0]) if len(leads) else None)
+        tracks = np.array(list(values.values())).T
+        row_of = {int(track_id): row for track_id, row in zip(values["id"], tracks, strict=True)}
+        unknown = np.full(len(values) + 1, np.nan)
+        for slot, held in enumerate(self._slots, start=1):
+            row = unknown if held is None else np.append(row_of[held[0]], result.time_s - held[1])
+            frame[f"obj_{slot:02d}"] = row
+        self._frames.append((result.time_s, frame))
 
     def discard_last(self) -> None:
         """Discard the last frame, which is always in memory."""
-        if self._frames:
-            self._slots = self._slots_before
-            del self._frames[-1], self._times_s[-1]
+        self._slots = self._slots_before
+        del self._frames[-1:]
 
     def close(self, summary: Mapping[str, Any] | None) -> None:
         """Write the file."""
@@ -187,10 +188,9 @@ class MdfWriter:
     def _slots_of(self, result: FrameResult) -> list[tuple[int, float] | None]:
         """The slots with the tracks of a frame; new ones are where the frame before had none."""
         present = set(result.tracks.track_id.tolist())
-        kept = {slot[0] for slot in self._slots if slot is not None}
-        free = [index for index, slot in enumerate(self._slots) if slot is None]
-        slots = [slot if slot is not None and slot[0] in present else None for slot in self._slots]
-        for track_id in sorted(present - kept):
+        free = [index for index, held in enumerate(self._slots) if held is None]
+        slots = [held if held is not None and held[0] in present else None for held in self._slots]
+        for track_id in sorted(present - {held[0] for held in slots if held is not None}):
             if not free:
                 free.append(len(slots))
                 slots.append(None)
@@ -198,128 +198,98 @@ class MdfWriter:
         return slots
 
     def _flush(self) -> None:
-        """Write the buffered frames to the temporary file, and groups of new slots from the first
-        frame on.
-        """
-        n_written = len(self._mdf.groups)
-        n_groups = max((len(frame) for frame in self._frames), default=2)
-        for slot in range(len(self._groups) - 2, n_groups - 2):
-            name = slot_name(slot)
-            channels = tuple(replace(one, name=f"{name}_{one.name}") for one in self._objects)
-            self._groups.append((name, channels))
-        n_before = len(self._times_s) - len(self._frames)
-        for index, (name, channels) in enumerate(self._groups):
-            blank = np.full(len(channels), np.nan)
-            rows = [frame[index] if index < len(frame) else blank for frame in self._frames]
-            if index < n_written:
-                if rows:
-                    samples = _samples(channels, np.array(rows))
-                    self._mdf.extend(index, [(np.array(self._times_s[n_before:]), None), *samples])
-                continue
-            values = np.array([blank] * n_before + rows).reshape(-1, len(channels))
-            self._append(name, channels, values)
-        self._frames = []
-
-    def _append(self, name: str, channels: Sequence[ResultColumn], values: FloatArray) -> None:
-        """Add a group with (N, K) values of its K channels in all frames so far."""
+        """Move the buffered frames to the temporary file."""
         from asammdf import Signal
 
-        time_s = np.array(self._times_s)
-        signals = [
-            Signal(
-                samples,
-                time_s,
-                unit=channel.unit,
-                name=channel.name,
-                conversion=_conversion(channel),
-                comment=comment_of(channel),
-                invalidation_bits=invalid,
-            )
-            for channel, (samples, invalid) in zip(
-                channels, _samples(channels, values), strict=True
-            )
-        ]
-        self._mdf.append(signals, acq_name=name, comment=name, common_timebase=True)
+        for name in dict.fromkeys(name for _, frame in self._frames for name in frame):
+            time_s = np.array([time_s for time_s, frame in self._frames if name in frame])
+            rows = np.array([frame[name] for _, frame in self._frames if name in frame])
+            channels, is_invalid = channels_of(name), ~np.isfinite(rows)
+            samples = [
+                (column.astype(_TYPES[channel.kind]), np.ascontiguousarray(invalid))
+                for channel, column, invalid in zip(
+                    channels, np.where(is_invalid, 0.0, rows).T, is_invalid.T, strict=True
+                )
+            ]
+            if name in self._groups:
+                self._mdf.extend(self._groups[name], [(time_s, None), *samples])
+                continue
+            signals = [
+                Signal(
+                    values,
+                    time_s,
+                    unit=channel.unit,
+                    name=channel.name,
+                    conversion=_conversion(channel),
+                    comment=comment_of(channel),
+                    invalidation_bits=invalid,
+                )
+                for channel, (values, invalid) in zip(channels, samples, strict=True)
+            ]
+            self._groups[name] = len(self._groups)
+            self._mdf.append(signals, acq_name=name, comment=name, common_timebase=True)
+        self._frames = []
 
     def _describe(self, notes: Sequence[str]) -> None:
         """Write the start and the origin of the run to the header."""
         start_s = self._info.start_utc_s
         self._mdf.header.start_time = datetime.fromtimestamp(start_s or 0.0, UTC)
-        texts = [*notes]
-        if start_s is None:
-            texts.append("The date and time of the recording are not known.")
+        unknown = ["The date and time of the recording are not known."] if start_s is None else []
         properties = "".join(
             f'<e name="{name}">{escape(value)}</e>'
             for name, value in self._info.provenance.metadata().items()
         )
         self._mdf.header.comment = (
-            f"<HDcomment><TX>{escape(chr(10).join(texts))}</TX>"
+            f"<HDcomment><TX>{escape(chr(10).join([*notes, *unknown]))}</TX>"
             f"<common_properties>{properties}</common_properties></HDcomment>"
         )
-
-
-def _samples(
-    channels: Sequence[ResultColumn], values: FloatArray
-) -> list[tuple[npt.NDArray[Any], npt.NDArray[np.bool_]]]:
-    """Samples of each channel with the type in the file, and whether they are invalid, of (N, K)
-    values.
-    """
-    is_invalid = ~np.isfinite(values)
-    known = np.where(is_invalid, 0.0, values)
-    return [
-        (known[:, k].astype(_TYPES[channel.kind]), np.ascontiguousarray(is_invalid[:, k]))
-        for k, channel in enumerate(channels)
-    ]
 
 
 def _conversion(channel: ResultColumn) -> Any:
     """The names of the values of a channel; None = numbers."""
     from asammdf.blocks.conversion_utils import from_dict
 
-    if channel.kind != "name":
-        return None
     texts: dict[str, Any] = {f"text_{i}": name.encode() for i, name in enumerate(channel.names)}
-    return from_dict({**texts, **{f"val_{i}": i for i in range(len(texts))}})
+    return from_dict({**texts, **{f"val_{i}": i for i in range(len(texts))}}) if texts else None
 
 
-def _object_values(result: FrameResult, channels: Sequence[ResultColumn]) -> FloatArray:
-    """(K, N) values of the N tracks of a frame; NaN = unknown, as flags of what did not run are."""
-    values = np.array([channel.read(result) for channel in channels], np.float64)
-    for name, has_run in (
-        ("warning", result.alarms.has_warnings),
-        ("is_lead", result.alarms.has_safety),
+def _values(result: FrameResult, declared: Mapping[str, ResultColumn]) -> dict[str, FloatArray]:
+    """(N,) values of the N tracks by channel; NaN = unknown, as flags of what did not run are."""
+    values = {
+        name: declared[column].read(result).astype(np.float64)
+        for name, column in _OF_OBJECTS.items()
+    }
+    for flag, known in (
+        ("warning", "contact_probability"),
+        ("is_lead", "gap"),
+        ("front_known", "yaw"),
     ):
-        if not has_run:
-            values[[channel.name for channel in channels].index(name)] = np.nan
+        values[flag][np.isnan(values[known])] = np.nan
     return values
 
 
-def _ego_values(result: FrameResult) -> FloatArray:
-    """The values of `EGO_CHANNELS`."""
-    ego, pose = result.ego, result.ego_pose
-    speeds = ego.speed_mps, ego.speed_sigma_mps, -ego.yaw_rad_s
-    return np.array([*speeds, pose.x_m, pose.y_m, pose.heading_rad])
-
-
-def _lead_values(result: FrameResult, columns: Sequence[ResultColumn]) -> FloatArray:
-    """The values of `lead_channels`. The sigmas of headway g / V, time to collision g / c and
-    deceleration c^2 / 2 g are of the first order, with independent errors of g, V and c.
+def _lead_values(
+    result: FrameResult, declared: Mapping[str, ResultColumn], index: int | None
+) -> FloatArray:
+    """The values of the channels of the lead, None = there is none. The sigmas of headway g / V, time
+    to collision g / c and deceleration c^2 / 2 g are of the first order, with independent errors.
     """
-    leads = np.flatnonzero(result.safety.is_lead)
-    if not len(leads):
-        return np.full(len(columns) + len(_LEAD_SIGMAS), np.nan)
-    values = [float(column.read(result)[leads[0]]) for column in columns]
-    known = dict(zip(_OF_LEAD, values, strict=True))
-    gap = _ratio(known["gap_sigma"], known["gap"])
-    closing = _ratio(known["closing_speed_sigma"], known["closing_speed"])
-    ego = _ratio(result.ego.speed_sigma_mps, result.ego.speed_mps)
-    sigmas = (
-        known["headway"] * math.hypot(gap, ego),
-        known["ttc"] * math.hypot(gap, closing),
-        known["deceleration_required"] * math.hypot(gap, 2 * closing),
+    if index is None:
+        return np.full(len(_OF_LEAD) + len(_COMPUTED["lead"]), np.nan)
+    lead = {name: float(declared[of].read(result)[index]) for name, of in _OF_LEAD.items()}
+    gap, closing, ego = (
+        sigma / value if value else math.nan
+        for sigma, value in (
+            (lead["gap_sigma"], lead["gap"]),
+            (lead["closing_speed_sigma"], lead["closing_speed"]),
+            (result.ego.speed_sigma_mps, result.ego.speed_mps),
+        )
     )
-    return np.array([*values, *sigmas])
-
-
-def _ratio(sigma: float, value: float) -> float:
-    return sigma / value if value else math.nan
+    return np.array(
+        [
+            *lead.values(),
+            lead["headway"] * math.hypot(gap, ego),
+            lead["ttc"] * math.hypot(gap, closing),
+            lead["deceleration_required"] * math.hypot(gap, 2 * closing),
+        ]
+    )
