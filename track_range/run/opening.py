@@ -27,7 +27,6 @@ from track_range.ranging.size_models.size_model import SizeModel
 from track_range.ranging.truth.truth import Truth, read_truth
 from track_range.recording.recording import Recording
 from track_range.recording.speed_source import AUTO, OFF, SpeedSource, open_speed
-from track_range.recording.telemetry.sidecars.sidecar import SignalChoice
 from track_range.recording.telemetry.tracks.positions import has_position
 from track_range.recording.telemetry.tracks.track import TelemetryTrack
 from track_range.results.counts.places import check_inside, parsed_places
@@ -100,9 +99,8 @@ def open_run(
         again = partial(open_input, settings, rig=rig)
         recording = _with_mounting(recording, settings, again)
         mounting = recording.opened.view_mounting(settings.mounting)
-        is_static = settings.static_camera
-        choice = SignalChoice(name=settings.speed_channel or "", database=settings.dbc)
-        speed = open_speed(OFF if is_static else settings.ego_speed, recording, mounting, choice)
+        setting = OFF if settings.static_camera else settings.ego_speed
+        speed = open_speed(setting, recording, mounting, settings.speed_signal)
         if detector is None:  # an object may depend on the order of the frames
             # the pre-pass knows cameras that look ahead
             given = speed.ego if looks_ahead(mounting) else None

@@ -15,6 +15,7 @@ from pydantic import InstanceOf, field_serializer, field_validator
 from track_range.foundation.errors import ConfigError
 from track_range.foundation.schemas.options import Options, option
 from track_range.recording.sources.names import VideoName, source_of, video_name
+from track_range.recording.telemetry.sidecars.sidecar import SignalChoice
 from track_range.recording.video.layouts import Bayer, LayoutOption
 from track_range.recording.video.source_name import SourceName
 from track_range.recording.video.utc import parsed_utc
@@ -250,6 +251,11 @@ class InputOptions(Options):
             metavar="FILE",
         ),
     ] = None
+
+    @property
+    def speed_signal(self) -> SignalChoice:
+        """The signal of the speed in a log of many."""
+        return SignalChoice(name=self.speed_channel or "", database=self.dbc)
 
     @field_validator("stereo", mode="before")
     @classmethod
