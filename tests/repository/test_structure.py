@@ -306,7 +306,7 @@ MOST_STATEMENTS = {
     # the visibility of the latest frames, among the health of pipelines (6)
     # options of methods and networks, and their part of the summary (110)
     # the signal of the speed, and the database of a bus (6)
-    "run": 3_170,
+    "run": 3_171,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that
     # look to any side from any place of the vehicle (24)
     # vehicles out of side roads, which cross or give way (39)
