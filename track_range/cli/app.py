@@ -52,7 +52,7 @@ COMMANDS = {
     "export": Lazy(
         "track_range.cli.commands.export",
         "Write a finished run or a label file in another format.",
-        "Formats: parquet, mcap, rrd, openscenario and mf4 (runs only), kitti, coco, cvat, mot and "
+        "Formats: parquet, mcap, rrd, openscenario, opendrive and mf4 (runs only), kitti, coco, cvat, mot and "
         "yolo. An existing file is replaced only if it has this format.",
         (
             "track-range export drive-1 --to cvat --out drive-1.xml",

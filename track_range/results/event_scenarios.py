@@ -20,27 +20,32 @@ from pathlib import Path
 import numpy as np
 
 from track_range.results.events.event import Event, clip_interval_s, clip_name
-from track_range.results.formats.openscenario_file import (
+from track_range.results.formats.adas.opendrive_file import ROAD_FILE, write_road
+from track_range.results.formats.adas.openscenario_file import (
     EGO,
-    Trajectories,
     Variation,
     object_name,
     write_scenario,
 )
+from track_range.results.formats.adas.trajectories import Trajectories
 
 _MIN_MPS = 0.5  # smallest speed that is a parameter: times are stretched in proportion to it
 
 
 def write_event_scenarios(drive: Trajectories, events: Sequence[Event], folder: Path) -> list[str]:
-    """Write a scenario of each event that the drive shows; the names of their files."""
+    """Write a scenario of each event that the drive shows, and the road of the drive; the names of
+    the scenarios' files.
+    """
     names = []
+    road = ROAD_FILE if write_road(folder / ROAD_FILE, drive) else ""
     for number, event in enumerate(events, 1):
         scene = drive.between(*clip_interval_s(event))
         variation = _variation(scene, event)
         if variation is None:
             continue
         name = Path(clip_name(number, event.kind, event.track_id)).with_suffix(".xosc").name
-        write_scenario(folder / name, scene, variation, f"{event.reason} Measured by track-range")
+        description = f"{event.reason} Measured by track-range"
+        write_scenario(folder / name, scene, variation, description, road)
         names.append(name)
     return names
 

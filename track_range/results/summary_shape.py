@@ -131,7 +131,7 @@ _SUMMARY = _section(
     **_all(
         Figure,
         "schema_version frames frames_dropped starts_s wall_s frames_per_s focal_px "
-        "focal_sigma baseline_m",
+        "focal_sigma baseline_m lane_width_m lane_width_sigma_m",
     ),
     **_all(Text, "settings_hash truth calibration region"),
     **_all(dict[str, Figure], "stages_ms latency_ms stereo_unmatched stereo_surfaces"),

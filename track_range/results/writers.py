@@ -32,7 +32,7 @@ FILES_OF_WRITERS: Mapping[str, str] = {  # of this package, for help texts
     "recorded": "recorded_boxes.csv, in pixels of the video",
     "mcap": "run.mcap, for Foxglove and ROS 2",
     "rrd": "run.rrd, for Rerun",
-    "openscenario": "run.xosc, trajectories for simulators",
+    "openscenario": "run.xosc and run.xodr, trajectories and their road for simulators",
     "depth": "depth.tar, depth of all pixels as 16-bit PNGs",
     "mf4": "run.mf4, ASAM MDF4 for CANape, MATLAB and asammdf",
 }
@@ -102,7 +102,7 @@ WRITERS: Registry[WriterFactory | str] = Registry(  # imported on first use
         "recorded": "track_range.results.formats.box_files:RecordedBoxesWriter",
         "mcap": "track_range.results.formats.mcap.writer:McapWriter",
         "rrd": "track_range.results.formats.rerun_file:RerunWriter",
-        "openscenario": "track_range.results.formats.openscenario_file:OpenScenarioWriter",
+        "openscenario": "track_range.results.formats.adas.openscenario_file:OpenScenarioWriter",
         "depth": "track_range.results.formats.depth_file:DepthWriter",
         "mf4": "track_range.results.formats.adas.mdf_file:MdfWriter",
     },

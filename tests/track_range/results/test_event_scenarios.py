@@ -11,7 +11,11 @@ import pytest
 
 from tests.support.results.events import event
 from track_range.results.event_scenarios import write_event_scenarios
-from track_range.results.formats.openscenario_file import N_VALUES, Trajectories, write_scenario
+from track_range.results.formats.adas.openscenario_file import (
+    N_VALUES,
+    Trajectories,
+    write_scenario,
+)
 
 CAR, EGO_MPS, CAR_MPS = 2, 10.0, 8.0
 TIMES_S = np.arange(0.0, 20.0, 0.5)

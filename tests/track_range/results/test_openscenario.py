@@ -19,7 +19,7 @@ from tests.support.results.frame_results import (
 from tests.track_range.results.moving_frames import frame
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
-from track_range.results.formats.openscenario_file import OpenScenarioWriter
+from track_range.results.formats.adas.openscenario_file import OpenScenarioWriter
 
 
 @pytest.fixture(scope="module")

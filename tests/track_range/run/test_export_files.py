@@ -402,3 +402,29 @@ def test_mot_rows_become_persons(exported: dict[str, Path], tmp_path: Path, cli:
     assert status == 0
     assert "person" in printed
     assert set(read_labels(tmp_path / "out").class_name.tolist()) == {"person"}
+
+
+def test_scenario_with_its_road(run: Path, tmp_path: Path, cli: Cli) -> None:
+    """The road is a file beside the scenario, or a file of its own; files of others remain."""
+    out, road = tmp_path / "drive.xosc", tmp_path / "drive.xodr"
+    status, _, error = cli("export", run, "--to", "opendrive", "--out", road)
+    assert (status, "no position of the camera is known" in error, road.exists()) == (
+        1,
+        True,
+        False,
+    )
+    poses = "frame,time_s,x_m,y_m,heading_deg,x_sigma_m,y_sigma_m,heading_sigma_deg\n"
+    poses += "".join(f"{i},{i / 10},{i}.0,0.0,0.0,{i / 100},0.0,0.1\n" for i in range(40))
+    (run / "poses.csv").write_text(poses)
+    assert cli("export", run, "--to", "opendrive", "--out", road)[0] == 0
+    alone = road.read_text()
+    assert cli("export", run, "--to", "openscenario", "--out", out)[0] == 0
+    assert 'filepath="drive.xodr"' in out.read_text()
+    assert road.read_text() == alone
+    road.write_text("mine")
+    status, _, error = cli("export", run, "--to", "openscenario", "--out", out)
+    assert (status, "drive.xodr" in error, road.read_text()) == (1, True, "mine")
+    scenarios = tmp_path / "scenarios"
+    options = ("--to", "openscenario", "--per-event", "--out", scenarios)
+    assert cli("export", run, *options)[0] == 0
+    assert (scenarios / "run.xodr").read_text() == alone

@@ -35,8 +35,10 @@ from track_range.foundation.schemas.options import Options, option
 from track_range.results.event_scenarios import write_event_scenarios
 from track_range.results.events.event import Event, is_clip_name
 from track_range.results.folder import DEFAULT_FPS, DetectedCamera, RunFolder, every_of
-from track_range.results.formats.openscenario_file import OpenScenarioWriter, Trajectories
-from track_range.results.formats.poses_file import read_poses
+from track_range.results.formats.adas.opendrive_file import ROAD_FILE, write_road
+from track_range.results.formats.adas.openscenario_file import OpenScenarioWriter, write_scenario
+from track_range.results.formats.adas.trajectories import Trajectories
+from track_range.results.formats.poses_file import Poses, read_poses
 from track_range.results.formats.run_info import RunInfo
 from track_range.results.replay import frames_of_rows
 from track_range.results.rows.rows import Rows
@@ -59,6 +61,7 @@ MARKS: Mapping[str, bytes] = {
     "mcap": b"\x89MCAP",
     "rrd": b"RRF",
     "openscenario": b"<?xml",
+    "opendrive": b"<?xml",
     "mf4": b"MDF     ",
 }
 """First bytes of the files that only result writers write, from the rows of a run."""
@@ -158,11 +161,16 @@ def export(settings: ExportSettings) -> Exported:
     return _export_rows(settings, run, camera)
 
 
+def _writer_of(name: str) -> str:
+    """The writer of a format: the road is one of the files of a scenario."""
+    return "openscenario" if name == "opendrive" else name
+
+
 def _check(settings: ExportSettings, run: RunFolder | None) -> None:
     """Check the options, and that the output is neither an input nor in the folder of a run in
     progress.
     """
-    if settings.to not in LABEL_FORMATS.usable and settings.to not in WRITERS.names:
+    if settings.to not in LABEL_FORMATS.usable and _writer_of(settings.to) not in WRITERS.names:
         raise UsageError(f"--to {settings.to}: this format is not available in this installation.")
     if settings.per_event and settings.to != "openscenario":
         raise UsageError(
@@ -275,22 +283,18 @@ def _export_rows(
         is_written &= run.rows["observed"]
     rows = run.rows.select(is_written)
     frames = frames_listed(boxes_of_run(run, camera))
-    writer = create_writer(settings.to)
+    writer = create_writer(_writer_of(settings.to))
     if getattr(writer, "needs_images", False):
         raise UsageError(
             f"--to {settings.to}: expected a format of rows; this one needs the images: give "
             f"--write {settings.to} to a run."
         )
+    is_scenario = isinstance(writer, OpenScenarioWriter)
     if not settings.per_event:
         check_replaceable(settings.out, settings.to)
     fps, poses = run.fps or DEFAULT_FPS, read_poses(run.folder)
-    if settings.to == "openscenario" and poses is None:
-        notes = (
-            *notes,
-            "The scenario is empty: the run has no positions of the camera (poses.csv), since its "
-            "speed is unknown or --write leaves them out; run it again with --ego-speed, or with "
-            "--write poses among the others.",
-        )
+    if is_scenario:
+        notes = (*notes, *_unplaced(rows, poses))
     info = RunInfo(
         camera=camera,
         rig=None,
@@ -315,6 +319,9 @@ def _export_rows(
                 writer.write(result)
         finally:
             writer.close(run.summary)
+        if is_scenario and not settings.per_event:
+            drive = cast(OpenScenarioWriter, writer).drive()
+            return Exported(len(rows), 0, (*notes, *_write_drive(drive, settings)))
         if not settings.per_event:
             _move(folder / writer.files[0], settings.out)
             return Exported(len(rows), 0, notes)
@@ -326,13 +333,47 @@ def _export_rows(
     return Exported(len(rows), 0, notes, n_scenarios)
 
 
+def _unplaced(rows: Rows, poses: Poses | None) -> Iterator[str]:
+    """Notes for the user on what a scenario of a run lacks."""
+    if poses is None:
+        yield (
+            "The scenario is empty: the run has no positions of the camera (poses.csv), since its "
+            "speed is unknown or --write leaves them out; run it again with --ego-speed, or with "
+            "--write poses among the others."
+        )
+    elif len(rows) and not np.isfinite(rows["centre_world_x_m"]).any():
+        yield (
+            "The scenario has no road users: the rows of the run have no cuboids, as those of "
+            "earlier versions; run it again."
+        )
+
+
+def _write_drive(drive: Trajectories, settings: ExportSettings) -> Iterator[str]:
+    """Write a road, or a scenario with its road beside it, NAME.xodr; yields notes for the user."""
+    out = settings.out
+    if settings.to == "opendrive":
+        if not write_road(out, drive):
+            raise OutputError(
+                f"{out}: the run shows no road, since no position of the camera is known."
+            )
+        return
+    road = out.with_name(f"{out.stem}-road.xodr" if out.suffix == ".xodr" else f"{out.stem}.xodr")
+    has_road = False
+    if not out.exists() or out.is_file():  # no road beside a device
+        check_replaceable(road, "opendrive")
+        has_road = write_road(road, drive)
+    write_scenario(out, drive, road=road.name if has_road else "")
+    if has_road:
+        yield f"The road of the scenario is {road}."
+
+
 def _write_scenarios(drive: Trajectories, events: Sequence[Event], out: Path) -> int:
     """Write a scenario of each event to a folder, in place of those of an earlier export, and
     return their number.
     """
     make_folder(out)
     earlier = [file for file in out.glob("*.xosc") if is_clip_name(file.with_suffix(".mp4").name)]
-    for file in earlier:
+    for file in (*earlier, out / ROAD_FILE):
         check_replaceable(file, "openscenario")
     for file in earlier:
         file.unlink()

@@ -1,4 +1,5 @@
-"""run.xosc: ASAM OpenSCENARIO 1.2 with the trajectories of the ego vehicle and of the tracks.
+"""run.xosc: ASAM OpenSCENARIO 1.2 with the trajectories of the ego vehicle and of the tracks, on the
+road of run.xodr.
 
 Positions are in the frame `map`. The reference point of the ego vehicle is the camera, that of an
 object the centre of its cuboid, whose size is the mean over the frames of the track, weighted by
@@ -10,8 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -20,19 +20,19 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.files import atomic_files
 from track_range.pipeline.frame_result import FrameResult
+from track_range.ranging.methods.lane_width import LaneWidth, usual_width
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import MOTION_STATES
+from track_range.results.formats.adas.opendrive_file import ROAD_FILE, write_road
+from track_range.results.formats.adas.trajectories import N_VALUES, Trajectories
+from track_range.results.formats.adas.xml_nodes import node, write_nodes
 from track_range.results.formats.run_info import RunInfo
 
 SCENARIO_FILE = "run.xosc"
 EGO = "ego"
-N_VALUES = 18  # of a row
 _LEAST_M = 0.01  # standard deviation of a size that is given
-# of recordings without UTC, so that the same run gives the same file
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 # categories; objects of other classes are not written
 _CATEGORIES: Mapping[str, str] = {
     "person": "pedestrian",
@@ -44,12 +44,6 @@ _CATEGORIES: Mapping[str, str] = {
 }
 _IS_WRITTEN = np.array([name in _CATEGORIES for name in ROAD_CLASSES])
 _AXLE_FRACTION = 0.3  # of the length of a vehicle, from its middle to an axle: usual
-
-
-def _node(tag: str, *children: ElementTree.Element, **attributes: Any) -> ElementTree.Element:
-    node = ElementTree.Element(tag, {name: str(value) for name, value in attributes.items()})
-    node.extend(children)
-    return node
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,20 +68,20 @@ class Variation:
                 f"${{{value} + {shift}}}"
                 for value, shift in zip((x, y), self.shifts[name], strict=True)
             )
-        return _node("Position", _node("WorldPosition", x=x, y=y, z=0, h=f"{heading_rad:.4f}"))
+        return node("Position", node("WorldPosition", x=x, y=y, z=0, h=f"{heading_rad:.4f}"))
 
     def timing(self, name: str) -> ElementTree.Element:
         """The time reference of an object's trajectory."""
         scale, offset = self.timings.get(name, ("1", "0"))
-        return _node("Timing", domainAbsoluteRelative="absolute", scale=scale, offset=offset)
+        return node("Timing", domainAbsoluteRelative="absolute", scale=scale, offset=offset)
 
     def declarations(self) -> ElementTree.Element:
         """The declarations of the parameters."""
         nodes = []
         for name, value in self.parameters.items():
             kind, text = ("string", value) if isinstance(value, str) else ("double", f"{value:.3f}")
-            nodes.append(_node("ParameterDeclaration", name=name, parameterType=kind, value=text))
-        return _node("ParameterDeclarations", *nodes)
+            nodes.append(node("ParameterDeclaration", name=name, parameterType=kind, value=text))
+        return node("ParameterDeclarations", *nodes)
 
 
 _MEASURED = Variation(parameters={})
@@ -95,30 +89,34 @@ _MEASURED = Variation(parameters={})
 
 def _at(name: str, time_s: float) -> ElementTree.Element:
     """Trigger at a time of the simulation."""
-    value = _node("SimulationTimeCondition", rule="greaterOrEqual", value=f"{time_s:.3f}")
-    condition = _node(
-        "Condition", _node("ByValueCondition", value), name=name, delay=0, conditionEdge="none"
+    value = node("SimulationTimeCondition", rule="greaterOrEqual", value=f"{time_s:.3f}")
+    condition = node(
+        "Condition", node("ByValueCondition", value), name=name, delay=0, conditionEdge="none"
     )
-    return _node("StartTrigger", _node("ConditionGroup", condition))
+    return node("StartTrigger", node("ConditionGroup", condition))
 
 
 class OpenScenarioWriter:
-    """Writer of run.xosc; the positions are in memory until the end of the run."""
+    """Writer of run.xosc and run.xodr; the positions are in memory until the end of the run."""
 
-    files = (SCENARIO_FILE,)
+    files = (SCENARIO_FILE, ROAD_FILE)
 
     def open(self, info: RunInfo, folder: Path) -> None:
         """Start without frames."""
-        self._info, self._path = info, folder / SCENARIO_FILE
-        self._ego: list[list[float]] = []  # time, x, y and heading of each frame
+        self._info, self._folder = info, folder
+        self._ego: list[list[float]] = []  # time, x, y, heading and sigma of each frame
         self._tracks: list[FloatArray] = []  # of each of these frames, see `_rows`
         self._n_before = 0  # frames before the last one
+        self._lane = usual_width("unknown")
 
     def write(self, result: FrameResult) -> None:
         """Add a frame."""
         pose, self._n_before = result.ego_pose, len(self._ego)
         if math.isfinite(pose.x_m):
-            self._ego.append([result.time_s, pose.x_m, pose.y_m, pose.heading_rad])
+            mounting = self._info.mounting
+            turn_rad = 0.0 if mounting is None else math.radians(mounting.yaw_deg)
+            heading_rad, sigma_m = pose.heading_rad - turn_rad, math.hypot(*pose.sigmas[:2])
+            self._ego.append([result.time_s, pose.x_m, pose.y_m, heading_rad, sigma_m])
             self._tracks.append(_rows(result, pose))
 
     def discard_last(self) -> None:
@@ -126,31 +124,27 @@ class OpenScenarioWriter:
         del self._ego[self._n_before :], self._tracks[self._n_before :]
 
     def close(self, summary: Mapping[str, Any] | None) -> None:
-        """Write the file."""
-        write_scenario(self._path, self.drive())
+        """Write the files; a drive without a known position has no road."""
+        width_m, sigma_m = (
+            (summary or {}).get(name) for name in ("lane_width_m", "lane_width_sigma_m")
+        )
+        if width_m is not None and sigma_m is not None:
+            self._lane = LaneWidth(float(width_m), float(sigma_m) / float(width_m))
+        drive = self.drive()
+        has_road = write_road(self._folder / ROAD_FILE, drive)
+        write_scenario(self._folder / SCENARIO_FILE, drive, road=ROAD_FILE if has_road else "")
 
     def drive(self) -> Trajectories:
         """The drive so far."""
-        ego = np.array(self._ego).reshape(-1, 4)
+        ego = np.array(self._ego).reshape(-1, 5)
         rows = np.concatenate([np.zeros((0, N_VALUES)), *self._tracks])
-        return Trajectories(ego=ego, rows=rows, start_utc_s=self._info.start_utc_s)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Trajectories:
-    """Poses of the ego vehicle and rows of the tracks, see `_rows`."""
-
-    ego: FloatArray  # (N, 4) time, x, y and heading
-    rows: FloatArray  # (M, N_VALUES)
-    start_utc_s: float | None  # of time 0; None = unknown
-
-    def between(self, start_s: float, end_s: float) -> Trajectories:
-        """The part between two times."""
-        ego, rows = (
-            table[(table[:, 0] >= start_s) & (table[:, 0] <= end_s)]
-            for table in (self.ego, self.rows)
+        return Trajectories(
+            ego=ego[:, :4],
+            rows=rows,
+            start_utc_s=self._info.start_utc_s,
+            end_sigma_m=float(ego[-1, 4]) if len(ego) else math.nan,
+            lane=self._lane,
         )
-        return replace(self, ego=ego, rows=rows)
 
 
 def object_name(class_id: FloatArray, track_id: float) -> str:
@@ -163,17 +157,18 @@ def write_scenario(
     drive: Trajectories,
     variation: Variation = _MEASURED,
     description: str = "Trajectories measured with track-range",
+    road: str = "",
 ) -> None:
-    """Write a drive as a scenario, atomically."""
-    root = _scenario(drive, variation, description)
-    ElementTree.indent(root)
-    content = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
-    atomic_files.write_bytes(path, content + b"\n")
+    """Write a drive as a scenario, atomically; `road` is the name of the file of its road, in the
+    same folder, "" = none.
+    """
+    write_nodes(path, _scenario(drive, variation, description, road))
 
 
-def _scenario(drive: Trajectories, variation: Variation, description: str) -> ElementTree.Element:
-    start_s, utc_s = float(drive.ego[0, 0]) if len(drive.ego) else 0.0, drive.start_utc_s
-    date = _EPOCH if utc_s is None else datetime.fromtimestamp(utc_s + start_s, UTC)
+def _scenario(
+    drive: Trajectories, variation: Variation, description: str, road: str
+) -> ElementTree.Element:
+    start_s = drive.start_s
     ego_m = (WarningSettings().ego_length_m, WarningSettings().ego_width_m, 1.5)
     path, rows = drive.ego - [start_s, 0, 0, 0], drive.rows - [start_s, *[0] * (N_VALUES - 1)]
     centre_x_m = WarningSettings().front_m - ego_m[0] / 2
@@ -186,33 +181,31 @@ def _scenario(drive: Trajectories, variation: Variation, description: str) -> El
     init = [_private(name, table[0], variation) for name, *_, table in objects if table[0, 0] <= 0]
     groups = [_maneuvers(name, table, variation) for name, *_, table in objects]
     story = (
-        [_node("Story", _node("Act", *groups, _at("start", 0.0), name="drive"), name="drive")]
+        [node("Story", node("Act", *groups, _at("start", 0.0), name="drive"), name="drive")]
         if groups
         else []
     )
-    return _node(
+    roads = [node("LogicFile", filepath=road)] if road else []
+    return node(
         "OpenSCENARIO",
-        _node(
+        node(
             "FileHeader",
             revMajor=1,
             revMinor=2,
-            date=date.strftime("%Y-%m-%dT%H:%M:%S"),
+            date=drive.date,
             author="track-range",
             description=f"{description}; x forward, y left of the first camera pose, m",
         ),
         variation.declarations(),
-        _node("CatalogLocations"),
-        _node("RoadNetwork"),
-        _node("Entities", *(_entity(*given[:-1]) for given in objects)),
-        _node("Storyboard", _node("Init", _node("Actions", *init)), *story, _node("StopTrigger")),
+        node("CatalogLocations"),
+        node("RoadNetwork", *roads),
+        node("Entities", *(_entity(*given[:-1]) for given in objects)),
+        node("Storyboard", node("Init", node("Actions", *init)), *story, node("StopTrigger")),
     )
 
 
 def _rows(result: FrameResult, pose: EgoPose) -> FloatArray:
-    """(N, N_VALUES) time, x, y and heading of the cuboid, whether its front is known, whether
-    parked, track ID, class, gap to the front, lateral offset from the path of the ego vehicle, speed
-    over ground, its speed, length, width and height with their sigmas.
-    """
+    """(N, N_VALUES) rows of `Trajectories`."""
     tracks, n = result.tracks, len(result.tracks)
     motion, cuboids = result.motion, result.cuboids
     x_m, y_m = cuboids.world_m[:, :2].T
@@ -262,17 +255,17 @@ def _entity(
     name: str, category: str, size_m: tuple[float, float, float], centre_x_m: float
 ) -> ElementTree.Element:
     length, width, height = size_m
-    box = _node(
+    box = node(
         "BoundingBox",
-        _node("Center", x=f"{centre_x_m:.2f}", y=0, z=f"{height / 2:.2f}"),
-        _node("Dimensions", width=f"{width:.2f}", length=f"{length:.2f}", height=f"{height:.2f}"),
+        node("Center", x=f"{centre_x_m:.2f}", y=0, z=f"{height / 2:.2f}"),
+        node("Dimensions", width=f"{width:.2f}", length=f"{length:.2f}", height=f"{height:.2f}"),
     )
     common = {"name": category}
     if category == "pedestrian":
-        body = _node(
+        body = node(
             "Pedestrian",
             box,
-            _node("Properties"),
+            node("Properties"),
             mass=75,
             model="",
             pedestrianCategory=category,
@@ -287,19 +280,19 @@ def _entity(
             "positionZ": 0.3,
         }
         axles = (
-            _node("FrontAxle", positionX=f"{centre_x_m + to_axle_m:.2f}", **axle),
-            _node("RearAxle", positionX=f"{centre_x_m - to_axle_m:.2f}", **axle),
+            node("FrontAxle", positionX=f"{centre_x_m + to_axle_m:.2f}", **axle),
+            node("RearAxle", positionX=f"{centre_x_m - to_axle_m:.2f}", **axle),
         )
-        performance = _node("Performance", maxSpeed=70, maxAcceleration=10, maxDeceleration=10)
-        parts = (box, performance, _node("Axles", *axles), _node("Properties"))
-        body = _node("Vehicle", *parts, vehicleCategory=category, **common)
-    return _node("ScenarioObject", body, name=name)
+        performance = node("Performance", maxSpeed=70, maxAcceleration=10, maxDeceleration=10)
+        parts = (box, performance, node("Axles", *axles), node("Properties"))
+        body = node("Vehicle", *parts, vehicleCategory=category, **common)
+    return node("ScenarioObject", body, name=name)
 
 
 def _private(name: str, row: FloatArray, variation: Variation) -> ElementTree.Element:
     position = variation.position(name, *row[1:4].tolist())
-    teleport = _node("PrivateAction", _node("TeleportAction", position))
-    return _node("Private", teleport, entityRef=name)
+    teleport = node("PrivateAction", node("TeleportAction", position))
+    return node("Private", teleport, entityRef=name)
 
 
 def _maneuvers(name: str, table: FloatArray, variation: Variation) -> ElementTree.Element:
@@ -310,42 +303,42 @@ def _maneuvers(name: str, table: FloatArray, variation: Variation) -> ElementTre
     if len(table) == 1:  # a trajectory has two vertices
         table = np.concatenate([table, table + np.eye(1, 4) * 0.001])
     vertices = [
-        _node("Vertex", variation.position(name, *row[1:4]), time=f"{row[0]:.3f}")
+        node("Vertex", variation.position(name, *row[1:4]), time=f"{row[0]:.3f}")
         for row in table.tolist()
     ]
-    trajectory = _node(
+    trajectory = node(
         "Trajectory",
-        _node("Shape", _node("Polyline", *vertices)),
+        node("Shape", node("Polyline", *vertices)),
         name=f"{name} path",
         closed="false",
     )
-    follow = _node(
+    follow = node(
         "FollowTrajectoryAction",
-        _node("TimeReference", variation.timing(name)),
-        _node("TrajectoryFollowingMode", followingMode="position"),
-        _node("TrajectoryRef", trajectory),
+        node("TimeReference", variation.timing(name)),
+        node("TrajectoryFollowingMode", followingMode="position"),
+        node("TrajectoryRef", trajectory),
     )
-    actions = [("follows", first_s, _node("PrivateAction", _node("RoutingAction", follow)))]
+    actions = [("follows", first_s, node("PrivateAction", node("RoutingAction", follow)))]
     if name != EGO:
         if first_s > 0:
-            added = _node("AddEntityAction", variation.position(name, *table[0, 1:4].tolist()))
+            added = node("AddEntityAction", variation.position(name, *table[0, 1:4].tolist()))
             actions.insert(
                 0,
                 (
                     "appears",
                     first_s,
-                    _node("GlobalAction", _node("EntityAction", added, entityRef=name)),
+                    node("GlobalAction", node("EntityAction", added, entityRef=name)),
                 ),
             )
-        gone = _node("EntityAction", _node("DeleteEntityAction"), entityRef=name)
-        actions.append(("disappears", last_s, _node("GlobalAction", gone)))
+        gone = node("EntityAction", node("DeleteEntityAction"), entityRef=name)
+        actions.append(("disappears", last_s, node("GlobalAction", gone)))
     events = []
     for what, time_s, action in actions:
         label = f"{name} {what}"
-        parts = _node("Action", action, name=label), _at(label, time_s)
+        parts = node("Action", action, name=label), _at(label, time_s)
         events.append(
-            _node("Event", *parts, priority="parallel", maximumExecutionCount=1, name=label)
+            node("Event", *parts, priority="parallel", maximumExecutionCount=1, name=label)
         )
-    actors = _node("Actors", _node("EntityRef", entityRef=name), selectTriggeringEntities="false")
-    maneuver = _node("Maneuver", *events, name=name)
-    return _node("ManeuverGroup", actors, maneuver, maximumExecutionCount=1, name=name)
+    actors = node("Actors", node("EntityRef", entityRef=name), selectTriggeringEntities="false")
+    maneuver = node("Maneuver", *events, name=name)
+    return node("ManeuverGroup", actors, maneuver, maximumExecutionCount=1, name=name)
