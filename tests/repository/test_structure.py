@@ -140,6 +140,7 @@ MOST_STATEMENTS = {
     # cuboids with covariances in three frames (50)
     # delta 1 of published evaluations and the places of labelled boxes (5)
     # corners of cuboids (10)
+    # the width of the lane for summary.json (3)
     "ranging": 10_353,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
@@ -278,6 +279,7 @@ MOST_STATEMENTS = {
     # signals in object slots, of the lead and of the ego vehicle as MDF4 (106)
     # the cuboids of rows (3)
     # cuboids with their directions in scenes and scenarios, and messages of Autoware (50)
+    # roads of OpenDRIVE, their reference line, lanes and uncertainty (130)
     "results": 3_597,
     # imports of one file for each idea of the settings (45); the parts of a run report, each in a class
     # of its own with what it imports (205); the options of its recording (15); notes on packages
@@ -306,6 +308,7 @@ MOST_STATEMENTS = {
     # the visibility of the latest frames, among the health of pipelines (6)
     # options of methods and networks, and their part of the summary (110)
     # the signal of the speed, and the database of a bus (6)
+    # the road of a scenario beside it, and what it lacks (20)
     "run": 3_171,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that
     # look to any side from any place of the vehicle (24)
