@@ -175,6 +175,7 @@ MOST_STATEMENTS = {
     # methods of labelled boxes compared, with the progress of their images (9)
     # what is understood of a network (75)
     # the command `evaluate cuboids` (17)
+    # the command `convert` (8)
     "cli": 2_776,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
@@ -188,6 +189,7 @@ MOST_STATEMENTS = {
     # limits of figures (99)
     # images of labelled sequences (31); stereo networks as matchers (40)
     # errors of measured cuboids by cell, on labels and of runs (100)
+    # readers of five data sets and the layout that they are brought into (340)
     "evaluation": 2_317,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     # earlier names of columns (4)

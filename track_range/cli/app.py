@@ -59,6 +59,16 @@ COMMANDS = {
             "track-range export fixed.xml --to yolo --video drive.mp4 --images --out data",
         ),
     ),
+    "convert": Lazy(
+        "track_range.cli.commands.convert",
+        "Bring a drive of another data set into the layout that the evaluations read.",
+        "Data sets: av2, pandaset, kitti360, nuscenes, and waymo-like, a layout of plain tables. "
+        "Writes boxes, distances, calibration, poses and speeds, and copies the images, if any.",
+        (
+            "track-range convert av2 adcf7d18-0510-35b0-a2fa-b4cea13a6d76 converted",
+            "track-range convert nuscenes nuscenes/ converted --camera CAM_BACK",
+        ),
+    ),
     "surrogate": Lazy(
         "track_range.cli.commands.surrogate",
         "Print surrogate measures of safety of a run or a fleet, by class and road user.",

@@ -127,7 +127,7 @@ def kitti_motion(
         time_s = clock.at(np.arange(len(pose)))
         duration_s[number] = time_s[-1] + clock.step_s
         rows = measured.sequence == number
-        camera[rows] = _camera_motion(pose, time_s)[measured.frame[rows]]
+        camera[rows] = camera_motion(pose, time_s)[measured.frame[rows]]
 
     # Truth of all labels of a track, then that of the measured boxes.
     values = np.column_stack([every.distance_m, position_m])
@@ -171,7 +171,7 @@ def read_poses(path: Path) -> FloatArray:
     return values.reshape(-1, 3, 4)
 
 
-def _camera_motion(pose: FloatArray, time_s: FloatArray) -> FloatArray:
+def camera_motion(pose: FloatArray, time_s: FloatArray) -> FloatArray:
     """(N, 4) speeds along the camera's axis and to the right of it, yaw rates and directions of the
     axis (positive = to the right), from (N, 3, 4) poses at the times (N,).
     """
