@@ -176,7 +176,7 @@ MOST_STATEMENTS = {
     # what is understood of a network (75)
     # the command `evaluate cuboids` (17)
     # the command `convert` (8)
-    "cli": 2_776,
+    "cli": 2_783,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (143), several drives together, and intervals of rates (49)
@@ -190,7 +190,7 @@ MOST_STATEMENTS = {
     # images of labelled sequences (31); stereo networks as matchers (40)
     # errors of measured cuboids by cell, on labels and of runs (100)
     # readers of five data sets and the layout that they are brought into (340)
-    "evaluation": 2_317,  # times and region of labelled motion, and every class of nuScenes (10)
+    "evaluation": 2_655,  # times and region of labelled motion, and every class of nuScenes (10)
     # the cameras of clips, estimated once from many of them (86)
     # earlier names of columns (4)
     # clips from the first stage that changed: keys, boxes, rows and poses that are kept (345), and a
