@@ -18,6 +18,8 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.tracking.motion import BoxFilters, MotionNoise, cxcywh
 
 Classes = Literal["similar", "same", "any"]  # similar: confused by detectors
+# (classes, classes) whether detectors confuse two classes
+_IS_CONFUSED = (SAME_OBJECT_GROUP[:, None] == SAME_OBJECT_GROUP).astype(np.float64)
 # groups of a person and of the two-wheelers
 _RIDER_GROUPS = SAME_OBJECT_GROUP[[ROAD_CLASSES.index("person"), ROAD_CLASSES.index("bicycle")]]
 _MAY_BE_RIDER = np.isin(SAME_OBJECT_GROUP, _RIDER_GROUPS)  # by class
@@ -137,19 +139,18 @@ def widened(xyxy_px: FloatArray, margin: float) -> FloatArray:
 
 
 def are_compatible(
-    track_class_id: IntArray, detected_class_id: IntArray, classes: Classes = "similar"
+    class_votes: FloatArray, detected_class_id: IntArray, classes: Classes = "similar"
 ) -> BoolArray:
-    """(N, M) whether the classes of a track and a detection can be matched; detectors confuse cars
-    and trucks.
+    """(N, M) whether a detection has a class that a track had before, or one that detectors confuse
+    with it; `class_votes` (N, classes) is above 0 for the classes of a track's boxes.
+
+    All names of a rider, whose boxes `may_be_riders` first brought together, continue its track.
     """
     if classes == "any":
-        return np.ones((len(track_class_id), len(detected_class_id)), np.bool_)
+        return np.ones((len(class_votes), len(detected_class_id)), np.bool_)
     if classes == "similar":
-        track_class_id, detected_class_id = (
-            SAME_OBJECT_GROUP[track_class_id],
-            SAME_OBJECT_GROUP[detected_class_id],
-        )
-    return np.asarray(track_class_id[:, None] == detected_class_id[None, :])
+        class_votes = class_votes @ _IS_CONFUSED
+    return np.asarray((class_votes > 0).take(detected_class_id, axis=1))
 
 
 def may_be_riders(track_class_id: IntArray, detected_class_id: IntArray) -> BoolArray:

@@ -19,6 +19,7 @@ from track_range.tracking.motion import MotionNoise
 # tracks with a random one of two classes in each frame, 0.2 % change more than once in 100 frames;
 # nine votes correct three wrong ones.
 _MIN_LEAD = 1.5
+_LEAST_VOTE = 1e-9  # of a box with a score of 0, which has a class too
 _LEAST_PROBABILITY = 0.003  # of another class; less is no doubt
 _PERSON = ROAD_CLASSES.index("person")
 
@@ -133,7 +134,7 @@ class TrackTable:
         """Add a tentative track for each detection; ids count from `first_id`."""
         n = len(detections)
         votes = np.zeros((n, len(ROAD_CLASSES)))
-        votes[np.arange(n), detections.class_id] = detections.score
+        votes[np.arange(n), detections.class_id] = np.maximum(detections.score, _LEAST_VOTE)
         new_history = history.initiate(
             detections.xyxy_px, time_s, n_kept=self.history.boxes.shape[1]
         )

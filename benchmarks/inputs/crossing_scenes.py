@@ -21,7 +21,7 @@ MOTIONS = ("standing", "turning", "driving")
 """How the camera moves."""
 
 _WIDTH_PX, _HEIGHT_PX, _FOCAL_PX, _HORIZON_PX, _CAMERA_M = 1242, 375, 721.0, 172.0, 1.65
-_PERSON, _CAR = ROAD_CLASSES.index("person"), ROAD_CLASSES.index("car")
+_PERSON, _CAR, _BICYCLE = (ROAD_CLASSES.index(name) for name in ("person", "car", "bicycle"))
 _N_PEOPLE, _N_CARS = 8, 2
 _SIZE_M = {_PERSON: (0.6, 1.75), _CAR: (4.2, 1.5)}  # width as seen across, and height
 _HIDDEN = 0.6  # hidden fraction of a box from which the object has none
@@ -40,10 +40,14 @@ class CrossingScene:
 
 
 def crossing_scene(
-    seed: int, *, noise: float, motion: str = "standing", n: int = 100
+    seed: int, *, noise: float, motion: str = "standing", n: int = 100, renamed: float = 0.0
 ) -> CrossingScene:
-    """A scene of `n` frames; `noise` is the standard deviation of an edge / height of the box."""
-    random = np.random.default_rng(seed)
+    """A scene of `n` frames; `noise` is the standard deviation of an edge / height of the box.
+
+    With `renamed` above 0, every second person rides, and this fraction of its boxes is called a
+    bicycle.
+    """
+    random, names = np.random.default_rng(seed), np.random.default_rng([seed, 1])
     class_id = np.repeat([_PERSON, _CAR], [_N_PEOPLE, _N_CARS])
     n_objects = len(class_id)
     size_m = np.array([_SIZE_M[number] for number in class_id.tolist()])
@@ -77,11 +81,13 @@ def crossing_scene(
         is_detected = (hidden <= _HIDDEN) & (random.random(len(shown)) > _MISSED)
         boxes = boxes_px[shown][is_detected]
         edge_px = noise * (boxes[:, 3:] - boxes[:, 1:2])
+        is_renamed = (shown % 2 == 0) & (shown < _N_PEOPLE) & (names.random(len(shown)) < renamed)
+        named = np.where(is_renamed, _BICYCLE, class_id[shown])
         frames.append(
             Detections.of(
                 boxes + random.normal(0, 1, boxes.shape) * edge_px,
                 random.uniform(0.6, 1.0, len(boxes)),
-                class_id[shown][is_detected],
+                named[is_detected],
             )
         )
     columns = (np.concatenate(column) for column in zip(*truth, strict=True))

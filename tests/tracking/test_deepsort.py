@@ -9,15 +9,17 @@ import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
+from track_range.foundation.arrays import Image
 from track_range.tracking.appearance.embeddings import ColourLayout
 from track_range.tracking.association import Classes
 from track_range.tracking.confidence_threshold import ConfidenceThresholdSettings
 from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, DeepSortTracker
 from track_range.tracking.history import PredictionGates
+from track_range.tracking.registry import create_tracker
 from track_range.tracking.tracks import Tracks
 
-CAR, TRUCK, PERSON, BICYCLE = (
-    ROAD_CLASSES.index(name) for name in ("car", "truck", "person", "bicycle")
+CAR, TRUCK, PERSON, BICYCLE, SIGN = (
+    ROAD_CLASSES.index(name) for name in ("car", "truck", "person", "bicycle", "traffic sign")
 )
 IMAGE = np.zeros((375, 1242, 3), np.uint8)
 SEEDS = range(15)  # of random frames
@@ -328,6 +330,40 @@ def test_a_person_does_not_become_a_car() -> None:
         [car_at(100), car_at(100, class_id=PERSON), car_at(100, class_id=PERSON)],
     )
     assert [tracks.track_id.tolist() for tracks in out] == [[1], [], [2]]
+
+
+@pytest.mark.parametrize("name", ["deepsort", "sort"])
+@pytest.mark.parametrize("fps", [2, 10, 30])
+@pytest.mark.parametrize("image", [IMAGE, None])
+@pytest.mark.parametrize("other", [PERSON, BICYCLE, SIGN])
+def test_no_tracker_of_ours_continues_a_car_as_something_else(
+    name: str, fps: int, image: Image | None, other: int
+) -> None:
+    """Neither by overlap nor by distance or appearance, in either order; a truck may be the car."""
+    before, after = [car_at(100)] * 4, [car_at(100, class_id=other)] * 4
+    for frames in (before + after, after + before):
+        tracker = create_tracker(name)
+        ids = [
+            set(tracker.update(boxes, k / fps, image).track_id.tolist())
+            for k, boxes in enumerate(frames)
+        ]
+        assert ids[0] == {1}
+        assert ids[-1] == {2}
+    tracker, trucks = create_tracker(name), [car_at(100, class_id=TRUCK)] * 4
+    assert {
+        identity
+        for k, boxes in enumerate(before + trucks)
+        for identity in tracker.update(boxes, k / fps, image).track_id.tolist()
+    } == {1}
+
+
+def test_a_known_rider_is_matched_by_either_name_like_any_other_track() -> None:
+    """After an IoU of 0.5 has shown that a person rides, a smaller one continues the bicycle."""
+    jump = [car_at(126, class_id=BICYCLE)] * 2  # an IoU of 0.4
+    walker = [car_at(100, class_id=PERSON)] * 6
+    rider = [car_at(100, class_id=c) for c in (PERSON, BICYCLE, PERSON, PERSON, PERSON, PERSON)]
+    ids = [drive(DeepSortTracker(NO_PREDICTION), frames + jump)[-1] for frames in (walker, rider)]
+    assert [tracks.track_id.tolist() for tracks in ids] == [[2], [1]]
 
 
 def test_a_rider_is_one_object_by_either_name() -> None:

@@ -22,6 +22,7 @@ _METRICS = ("hota", "assa", "idf1", "idsw")
 @workload(
     option("--seeds", default=20, help="number of scenes"),
     option("--noise", default=(0.02, 0.05), help="sigma of an edge / height of the box"),
+    option("--renamed", default=0.0, help="fraction of riders' boxes that are called a bicycle"),
 )
 def crossings(options: Namespace) -> Figures:
     settings = VARIANTS["track-range"].settings
@@ -29,7 +30,10 @@ def crossings(options: Namespace) -> Figures:
     for noise in options.noise:
         for motion in MOTIONS:
             counts = [
-                counts_of(crossing_scene(seed, noise=noise, motion=motion), settings)
+                counts_of(
+                    crossing_scene(seed, noise=noise, motion=motion, renamed=options.renamed),
+                    settings,
+                )
                 for seed in range(options.seeds)
             ]
             scores = asdict(TrackingCounts.sum_of(counts).scores())
