@@ -35,6 +35,7 @@ FILES_OF_WRITERS: Mapping[str, str] = {  # of this package, for help texts
     "openscenario": "run.xosc and run.xodr, trajectories and their road for simulators",
     "depth": "depth.tar, depth of all pixels as 16-bit PNGs",
     "mf4": "run.mf4, ASAM MDF4 for CANape, MATLAB and asammdf",
+    "openlabel": "run.openlabel.json, ASAM OpenLABEL 1.0",
 }
 
 _RUN_FILES = (  # besides those of its writers
@@ -105,6 +106,7 @@ WRITERS: Registry[WriterFactory | str] = Registry(  # imported on first use
         "openscenario": "track_range.results.formats.adas.openscenario_file:OpenScenarioWriter",
         "depth": "track_range.results.formats.depth_file:DepthWriter",
         "mf4": "track_range.results.formats.adas.mdf_file:MdfWriter",
+        "openlabel": "track_range.results.formats.adas.openlabel_file:OpenLabelWriter",
     },
 )
 

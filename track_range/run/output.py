@@ -23,7 +23,7 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.recording.telemetry.tracks.track import TELEMETRY_FILE, write_positions
 from track_range.results.counts.files import CROSSINGS_FILE, CROSSINGS_PARQUET, write_crossings
 from track_range.results.events.event import CLIPS_FOLDER, Event, with_clip_files
-from track_range.results.events.files import EventFiles
+from track_range.results.events.files import EventFiles, event_values
 from track_range.results.formats.poses_file import read_poses
 from track_range.results.progress_note import OPENING, PROCESSING, PROGRESS_FILE, ProgressNote
 from track_range.results.rows.rows import Rows
@@ -156,6 +156,7 @@ class RunOutput:
         info = session.origin.info(
             folder / self.videos["overlay"] if "overlay" in drawn else None, session.notes
         )
+        info = replace(info, events=lambda: [event_values(one) for one in session.rows.events])
         self._metadata = info.provenance.metadata()
         self._events = self._open.enter_context(EventFiles(folder, self._metadata))
         self._writers = self._open.enter_context(OpenWriters(settings.write, info, folder))

@@ -60,10 +60,12 @@ class CuboidView:
             values = np.array(cuboid.get("val") or [0.0] * 9, np.float64)
             camera_from = self._camera_from(cuboid.get("coordinate_system") or self.name, steps)
             if camera_from is not None and (values[-3:] > 0).all():
-                turn: dict[str, Any] = {"quaternion": values[3:7]}
-                if len(values) == 9:
-                    turn = {"euler_angles": values[5:2:-1]}
-                pose = camera_from @ _matrix({**turn, "translation": values[:3]})
+                turn = (
+                    ("quaternion", values[3:7])
+                    if len(values) == 10
+                    else ("euler_angles", values[5:2:-1])
+                )
+                pose = camera_from @ _matrix(dict([turn, ("translation", values[:3])]))
                 return SeenCuboid(self, pose[:3, :3], pose[:3, 3], values[-3:])
         return None
 
@@ -131,12 +133,12 @@ class SeenCuboid:
 
 def steps_of(transforms: Mapping[str, Mapping[str, Any]]) -> Steps:
     """The `transforms` of a frame, and their inverses; KeyError or ValueError for invalid values."""
-    steps: dict[tuple[str, str], FloatArray] = {}
-    for transform in transforms.values():
-        source, destination = transform["src"], transform["dst"]
-        steps[source, destination] = _matrix(transform["transform_src_to_dst"])
-        steps[destination, source] = np.asarray(np.linalg.inv(steps[source, destination]))
-    return steps
+    stated = {
+        (step["src"], step["dst"]): _matrix(step["transform_src_to_dst"])
+        for step in transforms.values()
+    }
+    inverse = {(b, a): np.asarray(np.linalg.inv(matrix)) for (a, b), matrix in stated.items()}
+    return {**inverse, **stated}
 
 
 def _matrix(data: Mapping[str, Any]) -> FloatArray:

@@ -48,7 +48,17 @@ _SHAPES = ("bbox", "rbbox", "cuboid")  # kinds of `object_data` that are read
 _KINDS = ("num", "boolean", "text")  # kinds of one value
 _SCORES = ("score", "confidence", "confidence_score")
 _NO_EDGES = (0.0, 0.0, 0.0, 0.0)
-# of types in ASAM's ontology, such as VehicleCar and HumanPedestrian
+ONTOLOGY_TYPES: Mapping[str, str] = {
+    "person": "HumanPedestrian",
+    "bicycle": "VehicleCycle",
+    "car": "VehicleCar",
+    "motorcycle": "VehicleMotorcycle",
+    "bus": "VehicleBus",
+    "truck": "VehicleTruck",
+}
+"""Road classes in ASAM's ontology of OpenLABEL 1.0."""
+_ROAD_CLASSES = {name: road_class for road_class, name in ONTOLOGY_TYPES.items()}
+# of other types in it, such as VehicleVan and HumanCyclist
 _KIND = re.compile(r"^(?:Vehicle|Human)(?=[A-Z])")
 _MIN_FPS, _MAX_FPS = 0.5, 1000.0  # others show that timestamps are not in seconds
 _MAX_OCCLUDED = 1  # KITTI's level of partly occluded objects: 3-D boxes of others are guesses
@@ -71,16 +81,15 @@ def read_openlabel(path: Path, video: VideoFacts) -> BoxTable:
         table = table_of_boxes(path, boxes, images, video, facts)
         if len(table) and table.xyxy_px.max() <= 1 - HALF_PIXEL_PX:
             raise LabelFileError("expected each bbox in pixels, found only fractions of the image")
-    is_missed, is_met = np.isinf(table.distance_m), np.isfinite(table.distance_m)
-    is_in_doubt = is_missed.sum() > is_met.sum()
-    distance_m = np.where(is_missed | is_in_doubt, np.nan, table.distance_m)
+    is_missed, n_met = np.isinf(table.distance_m), np.isfinite(table.distance_m).sum()
+    if (n_missed := is_missed.sum()) <= n_met:
+        return replace(table, distance_m=np.where(is_missed, np.nan, table.distance_m))
     note = (
-        f"{path.name}: {is_missed.sum()} of {(is_missed | is_met).sum()} cuboids are not where their "
-        f"boxes in the camera {camera} are, so that the labels have no distances; check the pose "
-        "and the intrinsics of the camera in the file."
+        f"{path.name}: {n_missed} of {n_missed + n_met} cuboids are not where their boxes in the "
+        f"camera {camera} are, so that the labels have no distances; check the pose and the "
+        "intrinsics of the camera in the file."
     )
-    notes = (*table.notes, note) if is_in_doubt else table.notes
-    return replace(table, distance_m=distance_m, notes=notes)
+    return replace(table, distance_m=np.full(len(table), np.nan), notes=(*table.notes, note))
 
 
 def _frames(root: Object) -> Mapping[int, Object]:
@@ -150,12 +159,14 @@ def _boxes(
     root: Object, frames: Mapping[int, Object], camera: str, *, has_boxes: bool
 ) -> Iterator[ToolBox]:
     """The boxes of the camera in all frames; a cuboid that has no image is a shape."""
-    view = _view(root, camera)
+    # files of this program state what was measured; its cuboids are filtered
+    view = None if PIXELS in root["metadata"] else _view(root, camera)
     for frame, uid, items in _objects(root, frames):
         cuboids = [cuboid for item in items for cuboid in _listed(item, "cuboid")]
-        steps = steps_of(_part(frames[frame], "frame_properties", "transforms"))
-        seen = None if view is None else view.seen(cuboids, steps)
-        label = _KIND.sub("", re.split("[#/]", str(items[0]["type"]))[-1])
+        transforms = _part(frames[frame], "frame_properties", "transforms")
+        seen = view.seen(cuboids, steps_of(transforms)) if view and cuboids else None
+        kind = re.split("[#/]", str(items[0]["type"]))[-1]
+        label = _ROAD_CLASSES.get(kind) or _KIND.sub("", kind)
         image = _image(frame, frames[frame], camera)
         common = ToolBox(image, label, _NO_EDGES, uid, shape="cuboid")
         if has_boxes or not cuboids:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -42,4 +42,6 @@ class RunInfo:
     shown_image: Callable[[FrameResult], Image | None] = lambda result: (
         result.frame.left if result.frame.left.size else None
     )
+    # events of the run by column (`events.files.event_values`), all of them when writers are closed
+    events: Callable[[], Sequence[Mapping[str, Any]]] = tuple
     recorded_boxes: Callable[[FloatArray], FloatArray] = lambda boxes: boxes

@@ -34,6 +34,7 @@ from track_range.foundation.files.output_files import OutputError, make_folder
 from track_range.foundation.schemas.options import Options, option
 from track_range.results.event_scenarios import write_event_scenarios
 from track_range.results.events.event import Event, is_clip_name
+from track_range.results.events.files import event_values
 from track_range.results.folder import DEFAULT_FPS, DetectedCamera, RunFolder, every_of
 from track_range.results.formats.adas.opendrive_file import ROAD_FILE, write_road
 from track_range.results.formats.adas.openscenario_file import OpenScenarioWriter, write_scenario
@@ -63,6 +64,7 @@ MARKS: Mapping[str, bytes] = {
     "openscenario": b"<?xml",
     "opendrive": b"<?xml",
     "mf4": b"MDF     ",
+    "openlabel": b'{"openlabel"',
 }
 """First bytes of the files that only result writers write, from the rows of a run."""
 
@@ -149,7 +151,8 @@ def export(settings: ExportSettings) -> Exported:
     """
     run, camera = None, None
     if is_run(settings.source):
-        run, camera = open_run(settings.source, has_events=settings.per_event)
+        has_events = settings.per_event or settings.to == "openlabel"
+        run, camera = open_run(settings.source, has_events=has_events)
     _check(settings, run)
     label_format = LABEL_FORMATS.usable.get(settings.to)
     if label_format is not None and label_format.write is not None:
@@ -303,6 +306,7 @@ def _export_rows(
         settings=run.settings,
         start_utc_s=_start_utc_s(rows),
         provenance=run.provenance,
+        events=lambda: [event_values(event) for event in run.events],
         mounting=DetectedCamera.model_validate(run.detected).mounting(),
         overlay=overlay if (overlay := run.folder / "overlay.mp4").is_file() else None,
     )

@@ -1,1 +1,1 @@
-"""Formats of ASAM for driver assistance, written with the packages of the extra [adas]."""
+"""Formats of ASAM for driver assistance; those but OpenLABEL need the extra [adas]."""
