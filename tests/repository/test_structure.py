@@ -283,6 +283,7 @@ MOST_STATEMENTS = {
     # the cuboids of rows (3)
     # cuboids with their directions in scenes and scenarios, and messages of Autoware (50)
     # roads of OpenDRIVE, their reference line, lanes and uncertainty (130)
+    # SensorData (115), ego vehicle and GroundTruth (44), and MCAP (45) of ASAM OSI
     # results as ASAM OpenLABEL, with measured cuboids, poses and events (132)
     "results": 3_910,
     # imports of one file for each idea of the settings (45); the parts of a run report, each in a class
@@ -313,6 +314,7 @@ MOST_STATEMENTS = {
     # options of methods and networks, and their part of the summary (110)
     # the signal of the speed, and the database of a bus (6)
     # the road of a scenario beside it, and what it lacks (20)
+    # marks of files that begin with a length (2)
     # the events of a run for its writers (4)
     "run": 3_201,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that

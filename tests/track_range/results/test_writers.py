@@ -26,7 +26,7 @@ from track_range.run.options.settings import RunSettings
 
 BUILT_IN = (
     *("csv", "mot", "parquet", "poses", "kitti", "recorded", "mcap", "rrd", "openscenario"),
-    *("depth", "mf4", "openlabel"),
+    *("depth", "osi", "osi-gt", "osi-mcap", "mf4", "openlabel"),
 )
 ROW = "0 1 Car 0 0 0 10 10 40 40 -1 -1 -1 -1000 -1000 -1000 -10 0.9\n"
 

@@ -133,7 +133,9 @@ def test_scenarios_of_an_earlier_export_stay_if_one_cannot_be_replaced(
     assert {file.name: file.read_text() for file in out.iterdir()} == contents
 
 
-@pytest.mark.parametrize("name", ["parquet", "mcap", "rrd", "kitti", "openscenario", "mf4"])
+@pytest.mark.parametrize(
+    "name", ["parquet", "mcap", "rrd", "kitti", "openscenario", "mf4", "osi", "osi-gt", "osi-mcap"]
+)
 @pytest.mark.parametrize(
     ("column", "value"), [("class", "c" * 150), ("fused_m", "inf"), ("time_s", "9e9")]
 )

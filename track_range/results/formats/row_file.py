@@ -68,7 +68,7 @@ class RowFile:
 
 
 class RowWriter:
-    """Base of the writers of one text file (see `RowFile`), which implement `rows` and, for a
+    """Base of the writers of one file to which frames are appended (see `RowFile`), which implement `rows` and, for a
     header, `header`.
     """
 
@@ -78,8 +78,8 @@ class RowWriter:
         """Text before the first frame."""
         return ""
 
-    def rows(self, result: FrameResult) -> str:
-        """Whole lines of a frame."""
+    def rows(self, result: FrameResult) -> str | bytes:
+        """Whole lines of a frame, or its bytes."""
         raise NotImplementedError
 
     def open(self, info: RunInfo, folder: Path) -> None:

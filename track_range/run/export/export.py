@@ -65,8 +65,13 @@ MARKS: Mapping[str, bytes] = {
     "opendrive": b"<?xml",
     "mf4": b"MDF     ",
     "openlabel": b'{"openlabel"',
+    "osi": b"\n\6\b\3",
+    "osi-gt": b"\n\6\b\3",
+    "osi-mcap": b"\x89MCAP",
 }
-"""First bytes of the files that only result writers write, from the rows of a run."""
+"""First bytes of the files that only result writers write, from the rows of a run; of OSI traces those
+after the first length, which are the start of the version 3."""
+_MARK_AT: Mapping[str, int] = {"osi": 4, "osi-gt": 4}
 
 _Write = Callable[[BoxTable, Path], Written]
 
@@ -461,9 +466,10 @@ def _has_format(path: Path, name: str) -> bool:
         return True
     try:
         with path.open("rb") as file:
-            start = file.read(len(max(MARKS.values(), key=len)))
+            mark_at = _MARK_AT.get(name, 0)
+            start = file.read(mark_at + len(max(MARKS.values(), key=len)))
         if name in MARKS:
-            return not start or start.startswith(MARKS[name])
+            return not start or start.startswith(MARKS[name], mark_at)
         return not start or label_format_of(path).name == name
     except (OSError, LabelFileError):
         return False
