@@ -335,6 +335,7 @@ MOST_STATEMENTS = {
     # a warned contact without a supported time, and distances of unknown scale (8)
     # marks of methods that are not fused (8)
     # tables of cuboids and of delta 1 (16)
+    # cuboids on the overlay, and footprints in the bird's-eye view (45)
     "views": 2_976,
     "track_range": 108,  # a module of errors and one of evaluations, each with its names for type checkers (18)
 }

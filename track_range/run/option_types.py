@@ -104,5 +104,6 @@ class RunKeywords(PipelineKeywords, total=False):
     clips: bool | None
     disparity: bool | None
     overlay_disparity: bool | None
+    overlay_cuboids: bool | None
     overlay_recorded: bool | None
     progress: bool | Console

@@ -52,6 +52,7 @@ def overlay_picture(settings: RunSettings, recording: Recording, status: Status)
         warning=warning,
         recorded=recorded,
         counted=_counted_places(settings, recording) if settings.static_camera else None,
+        has_cuboids=settings.overlay_cuboids,
     )
     if settings.overlay_disparity and has_dense_maps(settings, recording):
         return StackedPicture(overlay).draw

@@ -303,7 +303,7 @@ def _outputs(settings: FleetSettings, run: RunSettings, is_written: bool) -> tup
     """The files of a clip besides its tracks and events, by name and variant."""
     variants = {"mcap": f"mcap, {run.mcap_profile}{', images' * run.mcap_images}"}
     names = [name for name in run.write if name != "parquet"] if is_written else []
-    overlay = f"overlay{', disparity' * run.overlay_disparity}"
+    overlay = f"overlay{', disparity' * run.overlay_disparity}{', cuboids' * run.overlay_cuboids}"
     others = {
         f"{overlay}{', recorded images' * run.overlay_recorded}": run.overlay,
         "clips": run.clips,

@@ -30,7 +30,7 @@ _NOT_HASHED = frozenset(  # settings of the output files, which do not affect th
             "clips",
             "keep_gps",
         ),
-        *("disparity", "overlay_disparity", "overlay_recorded"),
+        *("disparity", "overlay_disparity", "overlay_cuboids", "overlay_recorded"),
     )
 )
 

@@ -101,6 +101,13 @@ class OutputOptions(Options):
             old_names=("overlay_side",),
         ),
     ] = False
+    overlay_cuboids: Annotated[
+        bool,
+        _file_option(
+            "Cuboids of the road users on the overlay in place of their boxes in the image.",
+            flag="--overlay-cuboids/--no-overlay-cuboids",
+        ),
+    ] = False
     overlay_recorded: Annotated[
         bool,
         _file_option(

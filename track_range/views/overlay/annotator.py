@@ -1,7 +1,7 @@
 """The overlay: a frame with the drawn box, identity and distances of each track.
 
-Boxes are solid if detected, dashed if predicted; corners inside a box mark the window of the patch
-matcher. Labels (`labels.py`) are placed near their boxes, inside the image and without overlap
+Boxes, or the edges of cuboids, are solid if detected, dashed if predicted; corners inside a box mark
+the window of the patch matcher. Labels (`labels.py`) are placed near their boxes, inside the image and without overlap
 (`LabelPlacer`). A bird's-eye view (`birds_eye.py`) is in a corner; the lines of the ego lane are
 drawn on the road. Labels of near tracks are placed first and do not cover nearer road users;
 without room for a full label only its first line is drawn, and without room for that none.
@@ -27,6 +27,7 @@ from track_range.stereo.matching.sgbm import disparity_picture, inner_halves
 from track_range.views.overlay import labels
 from track_range.views.overlay.birds_eye import BirdsEye
 from track_range.views.overlay.counted_places import CountedPlaces
+from track_range.views.overlay.cuboid_strokes import cuboid_strokes
 
 # returns short texts on the state of the run, such as the frame rate
 Status = Callable[[], Sequence[str]]
@@ -51,7 +52,8 @@ class Overlay:
     and time in the upper left corner, `warning` follows them in amber. `recorded` is the
     undistorter of the images of a wide lens: boxes are drawn, as curves, on the images before this
     step; None = on the left images. `counted` are the places of a camera that stands still, whose
-    labels begin with the speed; None = of a camera that moves.
+    labels begin with the speed; None = of a camera that moves. With `has_cuboids`, the edges of the
+    cuboids are drawn in place of the boxes of the tracks that have one.
     """
 
     def __init__(
@@ -63,8 +65,9 @@ class Overlay:
         warning: str = "",
         recorded: Rectifier | Undistorter | None = None,
         counted: CountedPlaces | None = None,
+        has_cuboids: bool = False,
     ) -> None:
-        self._counted = counted
+        self._counted, self._camera = counted, camera if has_cuboids else None
         self.class_names = tuple(class_names)
         self._recorded = recorded
         self._status, self._warning = status, warning
@@ -104,10 +107,13 @@ class Overlay:
         shapes = list(boxes) if view is None else view.recorded_outlines(result.tracks.xyxy_px)
         draw_shape = draw_box if view is None else draw_outline
         observed = result.tracks.observed.tolist()
+        strokes = self._cuboid_strokes(result)
         for row in nearest_first[::-1]:
-            draw_shape(
-                canvas, shapes[row], bgr=colours[row], line_px=line_px, dashed=not observed[row]
-            )
+            bgr, is_dashed = colours[row], not observed[row]
+            if row in strokes:
+                draw_cuboid(canvas, strokes[row], bgr=bgr, line_px=line_px, dashed=is_dashed)
+            else:
+                draw_shape(canvas, shapes[row], bgr=bgr, line_px=line_px, dashed=is_dashed)
         if view is None and any(
             "right_image" in one.needs and one.name in result.ranges for one in methods()
         ):
@@ -118,6 +124,17 @@ class Overlay:
         self._inset.draw(canvas, result, boxes)
         self._draw_labels(canvas, result, boxes, nearest_first[:MOST_LABELS], colours)
         return canvas
+
+    def _cuboid_strokes(self, result: FrameResult) -> dict[int, FloatArray]:
+        """(13, 9, 2) lines of the cuboids by track; empty if they are not shown."""
+        if self._camera is None or not len(result.tracks):
+            return {}
+        strokes = cuboid_strokes(result.cuboids, self._camera)
+        if self._recorded is not None:
+            moved = self._recorded.recorded_points(strokes.reshape(-1, 2))
+            strokes = moved.reshape(strokes.shape)
+        known = np.isfinite(strokes).all(axis=(2, 3)).sum(axis=1)
+        return {row: strokes[row] for row in np.flatnonzero(known).tolist()}
 
     def _draw_labels(
         self,
@@ -198,6 +215,19 @@ def draw_outline(
     _draw_strokes(
         canvas, np.rint(np.clip(segments, -size_px, 2 * size_px)).astype(np.int32), bgr, line_px
     )
+
+
+def draw_cuboid(
+    canvas: Image, strokes: FloatArray, *, bgr: Bgr, line_px: int, dashed: bool
+) -> None:
+    """Draw the lines (13, K, 2) of a cuboid with a dark border, dashed for a predicted box."""
+    size_px = np.array(canvas.shape[1::-1], np.float64)
+    if dashed:
+        parts = np.stack([strokes[:, :-1], strokes[:, 1:]], axis=2)[:, ::2]
+        strokes = parts.reshape(-1, 2, 2)
+    shown = strokes[np.isfinite(strokes).all(axis=(1, 2))]
+    pixels = np.rint(np.clip(shown, -9 * size_px, 9 * size_px)).astype(np.int32)
+    _draw_strokes(canvas, pixels, bgr, line_px)
 
 
 def _draw_strokes(canvas: Image, strokes: npt.NDArray[np.int32], bgr: Bgr, line_px: int) -> None:

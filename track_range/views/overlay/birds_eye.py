@@ -1,12 +1,15 @@
 r"""BirdsEye: inset with a bird's-eye view of the road, to scale: positions of the tracks and their
 uncertainty.
 
-+---------+   Forward (z) is up, x is to the right, both at the same scale; horizontal lines mark distances. A track is
-| --- 40  |   a dot in its colour with a bar of one sigma in both directions along its ray; hollow = predicted; a ring
-|   |o    |   in amber or red = imminent collision. The range is one of `RANGES_M`: it grows immediately when a track
-| --|- 20 |   is farther, and shrinks when no track has been so far away for some
-|  \./    |   seconds. The inset is in the corner where it covers the fewest road users, and moves at most once per
-+---------+   second; parts of road users under the inset stay visible.
++---------+   Forward (z) is up, x is to the right, both at the same scale; horizontal lines mark
+| --- 40  |   distances. A track is the footprint of its cuboid (a dot if that is smaller) in its colour,
+|   |o    |   with a white edge at a known front and a bar of one sigma in both directions along its
+| --|- 20 |   ray; hollow = predicted; a border in amber or red = imminent collision. The range is one
+|  \./    |   of `RANGES_M`: it grows immediately when a track is farther, and shrinks when no track has
++---------+   been so far away for some seconds.
+
+The inset is in the corner where it covers the fewest road users, and moves at most once per second;
+parts of road users under the inset stay visible.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.pipeline.colours import BLACK, GREY, WHITE, track_colour, warning_colour
 from track_range.pipeline.frame_result import FrameResult
+from track_range.ranging.world.cuboid_corners import cuboid_corners
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.views.overlay.labels import shared_areas, text_sizes_px
 
@@ -112,8 +116,13 @@ class BirdsEye:
         x_m, z_m, sigma_m = ground_m[far_first].T
         bar = np.stack([np.ones_like(z_m), 1 - sigma_m / z_m, 1 + sigma_m / z_m], axis=1)
         marks = self._points(x_m[:, None] * bar, z_m[:, None] * bar, (bottom - top, right - left))
-        for row, (centre, *ends) in zip(far_first.tolist(), marks.tolist(), strict=True):
-            self._draw_track(inset, result, row, centre=centre, bar=ends)
+        # of unknown ones (4, 2) zeros
+        corners_m = np.nan_to_num(cuboid_corners(result.cuboids)[far_first, :4])
+        shapes = self._points(corners_m[..., 0], corners_m[..., 2], (bottom - top, right - left))
+        for row, (centre, *ends), shape in zip(
+            far_first.tolist(), marks.tolist(), shapes, strict=True
+        ):
+            self._draw_track(inset, result, row, centre=centre, bar=ends, shape=shape)
         outside_px = text_sizes_px(image_px)[2] + 1  # of the line of a box
         covered = np.clip(
             boxes + outside_px * np.array([-1, -1, 2, 2]) - [left, top, left, top],
@@ -174,18 +183,35 @@ class BirdsEye:
         return grid
 
     def _draw_track(
-        self, inset: Image, result: FrameResult, row: int, *, centre: Point, bar: Sequence[Point]
+        self,
+        inset: Image,
+        result: FrameResult,
+        row: int,
+        *,
+        centre: Point,
+        bar: Sequence[Point],
+        shape: IntArray,
     ) -> None:
+        """Draw a track at `centre`, with the ends of its bar and the corners (4, 2) of its cuboid,
+        from the front on the left.
+        """
         colour, radius = (
             track_colour(int(result.tracks.track_id[row])),
             max(2, round(inset.shape[0] / 60)),
         )
-        alarm = warning_colour(result, row)
+        border = warning_colour(result, row) or BLACK
         is_observed = bool(result.tracks.observed[row])
-        cv2.circle(inset, centre, radius + 2, BLACK if alarm is None else alarm, -1, cv2.LINE_AA)
-        if not is_observed:
-            cv2.circle(inset, centre, radius, BLACK, -1, cv2.LINE_AA)
-        cv2.circle(inset, centre, radius, colour, -1 if is_observed else 1, cv2.LINE_AA)
+        if np.ptp(shape, axis=0).max() > 2 * radius:
+            cv2.polylines(inset, [shape], True, border, radius, cv2.LINE_AA)
+            cv2.fillConvexPoly(inset, shape, colour if is_observed else BLACK, cv2.LINE_AA)
+            cv2.polylines(inset, [shape], True, colour, 1, cv2.LINE_AA)
+            if result.cuboids.front_known[row]:
+                cv2.line(inset, shape[0], shape[1], WHITE, 1, cv2.LINE_AA)
+        else:
+            cv2.circle(inset, centre, radius + 2, border, -1, cv2.LINE_AA)
+            if not is_observed:
+                cv2.circle(inset, centre, radius, BLACK, -1, cv2.LINE_AA)
+            cv2.circle(inset, centre, radius, colour, -1 if is_observed else 1, cv2.LINE_AA)
         cv2.line(inset, bar[0], bar[1], colour, max(1, radius // 3), cv2.LINE_AA)
 
     def _points(self, x_m: FloatArray, z_m: FloatArray, inset_hw: tuple[int, int]) -> IntArray:
@@ -197,7 +223,7 @@ class BirdsEye:
         pixels = np.stack(
             [width / 2 + x_m * px_per_m, (1 - _EGO_MARGIN) * height - z_m * px_per_m], axis=-1
         )
-        return np.rint(np.clip(pixels, -limit, limit)).astype(np.int64)
+        return np.rint(np.clip(pixels, -limit, limit)).astype(np.int32)
 
 
 @cache  # of few sizes of images

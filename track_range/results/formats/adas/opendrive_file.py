@@ -216,10 +216,10 @@ def _neighbours(drive: Trajectories, samples: FloatArray) -> dict[int, bool]:
     drives &= np.hypot(rows[:, 1] - x_m, rows[:, 2] - y_m) <= _NEAR_M
     lanes = {0: True}
     for number in np.unique(lane[drives]).astype(int).tolist():
-        here = drives & (lane == number)
-        seen = np.unique(rows[here, 6], return_counts=True)[1]
-        if number and seen.max() >= _MIN_ROWS:
-            lanes[number] = bool(along[here].sum() > 0)
+        seen = drives & (lane == number)
+        n_frames = np.unique(rows[seen, 6], return_counts=True)[1]
+        if number and n_frames.max() >= _MIN_ROWS:
+            lanes[number] = bool(along[seen].sum() > 0)
     return lanes
 
 
