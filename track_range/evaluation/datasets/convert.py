@@ -11,7 +11,7 @@
 Boxes are of the images without lens distortion. A cuboid is moved from its own time to that of the image
 with the mean velocity of its track over a second. Objects whose box is lower than 25 px are left out.
 
-    truncated    share of the outline outside of the image
+    truncated    fraction of the outline outside of the image
     occluded     0, 1, 2, 3 from 0, 20, 50, 90 % of the visible box behind nearer cuboids, and 3 without a lidar
                  point; what is no object of the labels hides nothing
 """
@@ -210,7 +210,7 @@ def _labels(drive: LabelledDrive) -> dict[str, npt.NDArray[Any]]:
     labels = {name: values[rows] for name, values in labels.items()}
     body_px = labels["label_shape"]
     rays = camera.rays((body_px[:, :2] + body_px[:, 2:]) / 2)
-    hidden = _hidden_shares(camera, labels)
+    hidden = _hidden_fractions(camera, labels)
     labels["hidden"], labels["distance_m"] = hidden, _surface_m(rays, labels, np.arange(len(rays)))
     labels["occluded"] = np.where(labels["n_points"] == 0, 3, np.digitize(hidden, _OCCLUDED))
     is_high = labels["label_02"][:, 3] - labels["label_02"][:, 1] >= _MIN_HEIGHT_PX
@@ -244,8 +244,8 @@ def _surface_m(rays: FloatArray, labels: Mapping[str, FloatArray], rows: IntArra
     return surface_distance_m(rays, bottom_m, size_hwl_m=size_hwl_m, rotation_y_rad=yaw_rad)
 
 
-def _hidden_shares(camera: PinholeCamera, labels: Mapping[str, FloatArray]) -> FloatArray:
-    """(N,) shares of the rays through the boxes that meet another cuboid of the frame first."""
+def _hidden_fractions(camera: PinholeCamera, labels: Mapping[str, FloatArray]) -> FloatArray:
+    """(N,) fractions of the rays through the boxes that meet another cuboid of the frame first."""
     frame, boxes_px = labels["frame"], labels["label_02"]
     hidden = np.zeros(len(frame))
     steps = (np.arange(_N_RAYS) + 0.5) / _N_RAYS
