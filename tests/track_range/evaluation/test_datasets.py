@@ -460,3 +460,155 @@ def test_given_logs_of_argoverse(shared_data, tmp_path, name):
         for folder in (shared_data / "av2", out)
     ]
     assert ego[0]["speed_mps"] == pytest.approx(ego[1]["speed_mps"], abs=1e-3)
+
+
+@pytest.mark.real
+def test_given_sequence_of_pandaset(shared_data, tmp_path):
+    """The cuboids and poses of the front camera in PandaSet's files: the boxes of other code to 0.05
+    px, and bodies as high as its, to 1 % (median)."""
+    shared, source, out = shared_data / "pandaset", tmp_path / "front", tmp_path / "out"
+    ego = np.genfromtxt(shared / "ego/front.csv", delimiter=",", names=True)
+    camera = source / "camera/front_camera"
+    for place in (camera, source / "meta", source / "annotations/cuboids"):
+        place.mkdir(parents=True)
+    names = [
+        *(("heading", k, f"q{k}") for k in "wxyz"),
+        *(("position", k, f"{k}_m") for k in "xyz"),
+    ]
+    poses = [{"heading": {}, "position": {}} for _ in ego]
+    for row, pose in zip(ego, poses, strict=True):
+        for part, axis, column in names:
+            pose[part][axis] = float(row[column])
+    times = ego["stored_time_s"].tolist()
+    lens = {"fx": 1970.0131, "fy": 1970.0091, "cx": 970.0002, "cy": 483.2988}
+    for name, content in {"intrinsics": lens, "poses": poses, "timestamps": times}.items():
+        (camera / f"{name}.json").write_text(json.dumps(content))
+    (source / "meta/timestamps.json").write_text(json.dumps(times))
+    objects = parquet.read_table(shared / "objects/front.parquet").to_pylist()
+    place, size = ([f"{part}.{k}" for k in "xyz"] for part in ("position", "dimensions"))
+    header = ["uuid", "label", "yaw", *place, *size, "cuboids.sensor_id", "cuboids.sibling_id"]
+    keys = [f"world_{k}_m" for k in "xyz"] + ["width_m", "length_m", "height_m"]
+    for frame in range(len(ego)):
+        with (source / f"annotations/cuboids/{frame:02d}.csv").open("w") as file:
+            writer = csv.writer(file)
+            writer.writerow(header)
+            for one in objects:
+                if one["frame"] == frame:
+                    numbers = [one["yaw_rad"] - np.pi / 2, *(one[key] for key in keys)]
+                    writer.writerow([one["uid"], one["kind"], *numbers, -1, ""])
+    convert(ConvertSettings.of({"data": "pandaset", "source": source, "out": out}))
+    given, given_body = (_rows(shared / f"{name}/front.txt") for name in LABELS)
+    own, own_body = (_rows(out / f"{name}/front.txt") for name in LABELS)
+    errors, heights = [], []
+    for row, body in zip(given, given_body, strict=True):
+        same = (own[:, 0] == row[0]) & (np.abs(own[:, 8:14] - row[8:14]).max(axis=1) < 0.01)
+        for index in np.flatnonzero(same):
+            errors.append(np.abs(own[index, 4:8] - row[4:8]).max())
+            heights.append(np.ptp(own_body[index, [5, 7]]) / np.ptp(body[[5, 7]]))
+    assert len(errors) >= 1560
+    assert np.quantile(errors, 0.99) < 0.05  # two objects are labelled twice
+    assert np.median(heights) == pytest.approx(1.0, abs=0.015)
+
+
+LABELS = ("label_02", "label_shape")
+
+
+def _rows(path):
+    """Frame, truncation, occlusion, angle, box, size, place and yaw of labels."""
+    rows = [row.split() for row in path.read_text().splitlines()]
+    return np.array([[row[0], *row[3:17]] for row in rows], float)
+
+
+@pytest.mark.real
+def test_given_labels_of_nuscenes(shared_data, tmp_path):
+    """Labels in the frame of the camera, brought to the world and back by the tables, keep their
+    place."""
+    given = json.loads((shared_data / "nuscenes/mono3d.json").read_text())
+    name, source, out = "CAM_FRONT", tmp_path / "n", tmp_path / "out"
+    images = {one["id"]: one for one in given["images"] if f"/{name}/" in one["file_name"]}
+    labels = [one for one in given["annotations"] if one["image_id"] in images]
+    poses = {
+        part: {
+            token: (
+                Rotation.from_quat(one[f"{part}_rotation"], scalar_first=True).as_matrix(),
+                one[f"{part}_translation"],
+            )
+            for token, one in images.items()
+        }
+        for part in ("cam2ego", "ego2global")
+    }
+    stamps = {token: int(one["file_name"].split("__")[-1][:-4]) for token, one in images.items()}
+    tables = {
+        "scene": [{"token": "s", "name": name}],
+        "sensor": [{"token": name, "channel": name}],
+        "category": [{"token": one["name"], "name": one["name"]} for one in given["categories"]],
+        "sample": [
+            {"token": token, "scene_token": "s", "timestamp": stamp}
+            for token, stamp in stamps.items()
+        ],
+        "ego_pose": [_posed(token, one, "ego2global") for token, one in images.items()],
+        "calibrated_sensor": [
+            _posed(token, one, "cam2ego")
+            | {"sensor_token": name, "camera_intrinsic": one["cam_intrinsic"]}
+            for token, one in images.items()
+        ],
+        "sample_data": [
+            {
+                **dict.fromkeys(("token", "sample_token", "ego_pose_token"), token),
+                "calibrated_sensor_token": token,
+                "timestamp": stamps[token],
+                "is_key_frame": True,
+                "filename": one["file_name"],
+                "width": one["width"],
+                "height": one["height"],
+            }
+            for token, one in images.items()
+        ],
+        "instance": [
+            {"token": str(one["id"]), "category_token": one["category_name"]} for one in labels
+        ],
+        "sample_annotation": [],
+    }
+    for one in labels:
+        x, y, z, length, height, width, yaw_rad = one["bbox_cam3d"]
+        turn = Rotation.from_euler("y", yaw_rad).as_matrix() @ [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+        middle = np.array([x, y, z])
+        for part in ("cam2ego", "ego2global"):
+            R, t = poses[part][one["image_id"]]
+            turn, middle = R @ turn, R @ middle + t
+        tables["sample_annotation"].append(
+            {
+                **dict.fromkeys(("token", "instance_token"), str(one["id"])),
+                "sample_token": one["image_id"],
+                "translation": middle.tolist(),
+                "rotation": Rotation.from_matrix(turn).as_quat(scalar_first=True).tolist(),
+                "size": [width, length, height],
+            }
+        )
+    (source / "v1.0-mini").mkdir(parents=True)
+    for table, rows in tables.items():
+        (source / f"v1.0-mini/{table}.json").write_text(json.dumps(rows))
+    convert(ConvertSettings.of({"data": "nuscenes", "source": source, "out": out}))
+    own = _rows(out / f"label_02/{name}.txt")
+    order = sorted(stamps, key=stamps.__getitem__)
+    found = []
+    for one in labels:
+        if one["bbox"][3] < 30 or one["category_name"] in ("barrier", "traffic_cone"):
+            continue
+        x, y, z, _, height, _, yaw_rad = one["bbox_cam3d"]
+        rows = own[own[:, 0] == order.index(one["image_id"])]
+        distance = np.abs(rows[:, 11:14] - [x, y + height / 2, z]).max(axis=1)
+        near = rows[distance.argmin()]
+        found.append((distance.min(), np.abs(np.angle(np.exp(1j * (near[14] - yaw_rad))))))
+    errors = np.array(found)
+    assert len(errors) > 500
+    assert np.mean((errors < 1e-3).all(axis=1)) > 0.99
+
+
+def _posed(token, image, part):
+    """A row of nuScenes with a pose."""
+    return {
+        "token": token,
+        "rotation": image[f"{part}_rotation"],
+        "translation": image[f"{part}_translation"],
+    }

@@ -187,7 +187,7 @@ def _labels(drive: LabelledDrive) -> dict[str, npt.NDArray[Any]]:
     whole_px = _outline(camera, pose, drive.lwh_m, _CUBOID)
     last_px = np.array([camera.width_px, camera.height_px] * 2) - 1.0
     cuboid_px = np.clip(whole_px, 0.0, last_px)
-    body_px = np.clip(_outline(camera, pose, drive.lwh_m, _BODY), 0.0, last_px)
+    body_px = np.clip(_outline(camera, pose, drive.lwh_m - drive.padding_m, _BODY), 0.0, last_px)
     area, whole_area = (np.prod(px[:, 2:] - px[:, :2], axis=1) for px in (cuboid_px, whole_px))
     front, bottom_m = pose[:, :3, 0], pose[:, :3, 3] - pose[:, :3, 2] * drive.lwh_m[:, 2:] / 2
     yaw_rad = np.arctan2(-front[:, 2], front[:, 0])

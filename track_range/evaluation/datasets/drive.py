@@ -42,6 +42,8 @@ class LabelledDrive:
     lwh_m: FloatArray  # (N, 3) length, width and height
     n_points: FloatArray  # (N,) lidar points in the cuboid; NaN = unknown
     min_points: int = 0  # of cuboids that become labels
+    # by which cuboids are longer, wider and higher than the bodies in them
+    padding_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def columns_of(path: Path, names: Sequence[str]) -> dict[str, npt.NDArray[Any]]:

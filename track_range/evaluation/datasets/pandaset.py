@@ -22,6 +22,8 @@ from track_range.foundation.files.structured_text import read_json
 from track_range.stereo.geometry.camera import PinholeCamera
 
 _SIZE_PX = (1920, 1080)
+# both ends are 0.1 m, both sides 0.08 m and the top 0.06 m before the first points of the lidar
+_PADDING_M = (0.2, 0.16, 0.06)
 _PLACE, _SIZE = (
     tuple(f"{name}.{axis}" for axis in axes)
     for name, axes in (("position", "xyz"), ("dimensions", "yxz"))
@@ -77,4 +79,5 @@ def read(folder: Path, camera_name: str) -> Iterator[LabelledDrive]:
         cuboid=poses_of(np.column_stack([turn, stacked(table, _PLACE)])),
         lwh_m=stacked(table, _SIZE),
         n_points=np.full(len(turn), np.nan),
+        padding_m=_PADDING_M,
     )
