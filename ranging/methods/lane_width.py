@@ -208,8 +208,10 @@ class LaneWidthRanger(Ranger):
 
     def summary(self) -> dict[str, Any]:
         """Width of the lane and its sigma at the end: the usual one, sharpened by what the drive
-        showed.
+        showed; nothing if the lines are no lane.
         """
+        if math.isinf(self.lane.sigma):
+            return {}
         sigma_m = self.lane.sigma * self.lane.width_m
         return {"lane_width_m": self.lane.width_m, "lane_width_sigma_m": sigma_m}
 

@@ -227,6 +227,7 @@ def test_own_size_does_not_affect_the_distance():
 def test_lines_of_two_lanes_measure_nothing():
     ranger = LaneWidthRanger(CAMERA, width_from="mono")
     assert np.isnan(learn(ranger, 7.0, 10, sigma=0.06).distance_m).all()
+    assert ranger.summary() == {}  # which would not be valid JSON
     assert np.isfinite(
         learn(LaneWidthRanger(CAMERA, width_from="mono"), 4.1, 10, sigma=0.06).distance_m
     ).all()

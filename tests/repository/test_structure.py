@@ -141,7 +141,7 @@ MOST_STATEMENTS = {
     # cuboids with covariances in three frames (50)
     # delta 1 of published evaluations and the places of labelled boxes (5)
     # corners of cuboids (10)
-    # the width of the lane for summary.json (3)
+    # the width of the lane for summary.json, unless the lines are no lane (5)
     "ranging": 10_356,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)

@@ -27,7 +27,7 @@ from osi_utilities import (
 from scipy.spatial.transform import Rotation
 
 from tests.support.file_size_limit import file_size_limit
-from tests.support.results.frame_results import frame_result
+from tests.support.results.frame_results import changed, frame_result
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.foundation.files.output_files import OutputError
@@ -154,6 +154,8 @@ def written(tmp_path: Path) -> dict[str, list[Any]]:
             given = frame(index, lanes=lanes())
             if index == 2:
                 given = replace(given, world=replace(given.world, ego_pose=EgoPose()))
+            if index == 3:  # neither are the speeds of the camera and of what it approaches
+                given = changed(given, ego=EgoMotion(), closing_mps=np.full(len(CLASSES), np.nan))
             writers.write(given)
         writers.close({})
     return {path.name: read(path) for path in sorted(tmp_path.iterdir())}
@@ -284,6 +286,8 @@ def check_rules(message: Any) -> None:
             assert math.isfinite(value), path
         if name in ("length", "width", "height", "age", "seconds") or "rmse" in path:
             assert not isinstance(value, float | int) or value >= 0, path
+        if name == "velocity" and "rmse" not in path:
+            assert len(value.ListFields()) == 3, path
         if name == "nanos":
             assert 0 <= value <= 999_999_999
         if "probability" in name:
@@ -328,6 +332,9 @@ def test_files_are_read_by_asams_utilities(written: dict[str, list[Any]], tmp_pa
     assert [m.SerializeToString() for m in in_mcap] == [
         m.SerializeToString() for m in written["run_sd.osi"]
     ]
+    host = written["run_gt.osi"][2].moving_object[0]
+    assert not host.base.HasField("velocity")
+    assert not in_mcap[3].moving_object[0].base.HasField("velocity")
     times = [(m.timestamp.seconds, m.timestamp.nanos) for m in in_mcap]
     assert times == [(0, index * 100_000_000) for index in range(5)]
 

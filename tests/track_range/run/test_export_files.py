@@ -153,6 +153,7 @@ def test_unusual_rows(
     n_rows = 3 if column == "fused_m" or (column, name) == ("class", "kitti") else 2
     assert f"{n_rows} boxes" in printed
     assert ("The scenario is empty" in printed) == (name == "openscenario")
+    assert ("The trace is empty" in printed) == (name == "osi-gt")
     assert b"inf" not in (tmp_path / "out").read_bytes() or name != "kitti"
 
 
@@ -371,6 +372,10 @@ def test_other_files_are_not_replaced(
         assert status == 1
         assert out.name in error
         assert not before or out.read_bytes() == before
+    for name in ("osi", "osi-gt", "osi-mcap", "mf4"):
+        assert cli("export", run, "--to", name, "--out", other)[0] == 1
+    for _ in range(2):
+        assert cli("export", run, "--to", "osi", "--out", tmp_path / "drive_sd.osi")[0] == 0
     (tmp_path / "again").write_bytes(exported["coco"].read_bytes())
     assert cli("export", run, "--to", "coco", "--out", tmp_path / "again")[0] == 0
 

@@ -301,8 +301,8 @@ def _export_rows(
     if not settings.per_event:
         check_replaceable(settings.out, settings.to)
     fps, poses = run.fps or DEFAULT_FPS, read_poses(run.folder)
-    if is_scenario:
-        notes = (*notes, *_unplaced(rows, poses))
+    if is_scenario or settings.to == "osi-gt":
+        notes = (*notes, *_unplaced(rows, poses, "scenario" if is_scenario else "trace"))
     info = RunInfo(
         camera=camera,
         rig=None,
@@ -342,17 +342,17 @@ def _export_rows(
     return Exported(len(rows), 0, notes, n_scenarios)
 
 
-def _unplaced(rows: Rows, poses: Poses | None) -> Iterator[str]:
-    """Notes for the user on what a scenario of a run lacks."""
+def _unplaced(rows: Rows, poses: Poses | None, kind: str) -> Iterator[str]:
+    """Notes for the user on what a file of a run in the frame `map` lacks; `kind` is its name."""
     if poses is None:
         yield (
-            "The scenario is empty: the run has no positions of the camera (poses.csv), since its "
+            f"The {kind} is empty: the run has no positions of the camera (poses.csv), since its "
             "speed is unknown or --write leaves them out; run it again with --ego-speed, or with "
             "--write poses among the others."
         )
     elif len(rows) and not np.isfinite(rows["centre_world_x_m"]).any():
         yield (
-            "The scenario has no road users: the rows of the run have no cuboids, as those of "
+            f"The {kind} has no road users: the rows of the run have no cuboids, as those of "
             "earlier versions; run it again."
         )
 

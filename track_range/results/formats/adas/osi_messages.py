@@ -124,7 +124,9 @@ class OsiMessages:
         velocities.
         """
         place = track.cuboid_in_camera
-        velocity = track.in_camera if track.class_name in _CLASSES else PointState()
+        velocity = track.in_camera
+        if track.class_name not in _CLASSES or not np.isfinite(velocity.velocity_mps).all():
+            velocity = PointState()
         yaw, yaw_sigma = math.radians(place.yaw_deg), math.radians(track.yaw_sigma_deg)
         angles: Iterable[float] = (yaw, _NAN, _NAN)
         if self._info.mounting is not None and math.isfinite(yaw):  # it is upright on the road
@@ -163,7 +165,7 @@ class OsiMessages:
                     "boundary_line_rmse": rmse,
                 }
             )
-        return boundaries
+        return [boundary for boundary in boundaries if boundary["boundary_line"]]
 
     def _in_map(self, result: FrameResult) -> dict[str, dict[str, Any]]:
         """The ego vehicle with standard deviations, and with the road users of a frame. The road is a
@@ -184,7 +186,7 @@ class OsiMessages:
             z_m = track.size_m[2] / 2 if math.isnan(centre_m[2]) else centre_m[2]
             pose = (*track.size_m, *centre_m[:2], z_m, math.radians(yaw_deg), 0.0, 0.0)
             if track.class_name in _CLASSES and np.isfinite(pose).all():
-                base = _base((*pose, velocity.real, velocity.imag, 0.0))
+                base = _base((*pose, velocity.real, velocity.imag, 0.0 * velocity.real))
                 kind = _CLASSES[track.class_name]
                 if track.class_name != "person":  # OSI wants it, even if nothing in it is known
                     kind = {**kind, "vehicle_attributes": {}}
@@ -210,12 +212,12 @@ class OsiMessages:
         of_turn_mps = -1j * np.nan_to_num(ego.yaw_rad_s) * (centre_m - complex(pose.x_m, pose.y_m))
         velocity_mps = axis * complex(ego.speed_mps, -ego.right_mps) + of_turn_mps
         place = (centre_m.real, centre_m.imag, _EGO_HEIGHT_M / 2, math.remainder(yaw, math.tau))
-        motion = (velocity_mps.real, velocity_mps.imag, 0.0, -ego.yaw_rad_s)
+        velocity = (velocity_mps.real, velocity_mps.imag, 0.0 * velocity_mps.real)
         x_sigma_m, y_sigma_m, yaw_sigma = pose.sigmas
         along, right = axis * ego.speed_sigma_mps, axis * ego.right_sigma_mps
         speeds = (math.hypot(along.real, right.imag), math.hypot(along.imag, right.real))
         rmse = (*_NAN3, x_sigma_m, y_sigma_m, _NAN, yaw_sigma, _NAN, _NAN, *speeds)
-        return _base((*_EGO_M, *place, 0.0, 0.0, *motion)), _base(rmse)
+        return _base((*_EGO_M, *place, 0.0, 0.0, *velocity, -ego.yaw_rad_s)), _base(rmse)
 
 
 def _base(values: Iterable[float]) -> dict[str, dict[str, float]]:
