@@ -142,7 +142,7 @@ MOST_STATEMENTS = {
     # delta 1 of published evaluations and the places of labelled boxes (5)
     # corners of cuboids (10)
     # the width of the lane for summary.json, unless the lines are no lane (5)
-    "ranging": 10_356,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 10_358,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
     # `check` (4)
@@ -285,7 +285,7 @@ MOST_STATEMENTS = {
     # roads of OpenDRIVE, their reference line, lanes and uncertainty (130)
     # SensorData (115), ego vehicle and GroundTruth (44), and MCAP (45) of ASAM OSI
     # results as ASAM OpenLABEL, with measured cuboids, poses and events (132)
-    "results": 4_114,
+    "results": 4_116,
     # imports of one file for each idea of the settings (45); the parts of a run report, each in a class
     # of its own with what it imports (205); the options of its recording (15); notes on packages
     # at the end (5)
