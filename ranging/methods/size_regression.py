@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from track_range.detection.box_errors import NO_ERRORS, BoxErrors
+from track_range.detection.box_errors import BoxErrors
 from track_range.detection.boxes import area_px2, intersection_px2
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.measurement.ranges import Ranges
@@ -23,10 +23,9 @@ from track_range.ranging.size_models.drive_scale import NO_EVIDENCE, DriveScale,
 from track_range.ranging.size_models.size_model import (
     BORDER_PX,
     BoxNoise,
+    BoxTraits,
     DriveState,
     SizeModel,
-    box_error_table,
-    detector_noise,
     have_hidden_sides,
     measured_boxes,
 )
@@ -108,11 +107,8 @@ class SizeRanger(Ranger):
         self._camera = camera
         self._drive = DriveState()
         self._curves = curves or load_curves()
-        uniform = None if box_sigma_px is None else BoxNoise(box_sigma_px, 0.0, 0.0)
-        self._noise = noise or uniform or detector_noise(camera.width_px)
-        self._errors = box_error_table(
-            NO_ERRORS if box_errors is None and uniform is not None else box_errors
-        )
+        traits = BoxTraits.of(camera.width_px, box_sigma_px=box_sigma_px, errors=box_errors)
+        self._noise, self._errors = noise or traits.noise, traits.errors
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         """Distances by size; NaN for predicted boxes, boxes truncated at top or bottom, and classes

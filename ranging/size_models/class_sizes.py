@@ -1,4 +1,4 @@
-"""ClassSizes: typical length, width and height of the road classes, by the size model of a run."""
+"""ClassSizes: sizes and usual directions of the road classes, by the size model of a run."""
 
 from dataclasses import dataclass
 
@@ -7,27 +7,45 @@ import numpy as np
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
+from track_range.ranging.size_models.prior import YAW_DEG
 
 _LWH_OF_HWL = [2, 1, 0]  # priors have height, width, length
 
 
 @dataclass(frozen=True, slots=True)
 class ClassSizes:
-    """Length, width and height in m of each of `ROAD_CLASSES`, and their standard deviations, all
-    (road classes, 3); NaN = the size model has no such class.
-    """
+    """Sizes of each of the C `ROAD_CLASSES`; NaN = the size model has no such class."""
 
-    lwh_m: FloatArray
-    sigma_m: FloatArray
+    log_hwl: FloatArray  # (C, 3) mean log height, width and length, in m
+    covariance: FloatArray  # (C, 3, 3) of these
+    # (C, 2) of the log height and width of boxes minus those of the cuboid: mean, and sigma
+    offset: FloatArray
+    scatter: FloatArray
+    turn_weights: FloatArray  # (C, Y) probabilities of the angles `YAW_DEG` to the camera's axis
+
+    @property
+    def lwh_m(self) -> FloatArray:
+        """(C, 3) typical length, width and height in m."""
+        return np.asarray(np.exp(self.log_hwl)[:, _LWH_OF_HWL])
+
+    @property
+    def sigma_m(self) -> FloatArray:
+        """(C, 3) their standard deviations."""
+        log_sigma = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        return np.asarray(self.lwh_m * log_sigma[:, _LWH_OF_HWL])
 
     @classmethod
     def of(cls, model: object) -> "ClassSizes":
         """The sizes in the priors of a size model; a model without cuboids has none."""
-        lwh_m, sigma_m = np.full((2, len(ROAD_CLASSES), 3), np.nan)
+        n = len(ROAD_CLASSES)
+        shapes = (n, 3), (n, 3, 3), (n, 2), (n, 2), (n, len(YAW_DEG))
+        sizes = cls(*(np.full(shape, np.nan) for shape in shapes))
         if isinstance(model, CuboidSizes):
             for row, name in enumerate(ROAD_CLASSES):
                 if name in model.priors:
                     prior = model.priors[name]
-                    lwh_m[row] = np.array(prior.hwl_m)[_LWH_OF_HWL]
-                    sigma_m[row] = lwh_m[row] * np.array(prior.log_sigma)[_LWH_OF_HWL]
-        return cls(lwh_m, sigma_m)
+                    sizes.log_hwl[row] = np.log(prior.hwl_m)
+                    sizes.covariance[row] = prior.covariance
+                    sizes.offset[row], sizes.scatter[row] = prior.offset, prior.scatter
+                    sizes.turn_weights[row] = np.array(prior.turn_weights) / sum(prior.turn_weights)
+        return sizes

@@ -275,6 +275,33 @@ def box_error_table(errors: BoxErrors | None) -> FloatArray:
 _NO_ERRORS = box_error_table(NO_ERRORS)
 
 
+@dataclass(frozen=True, slots=True)
+class BoxTraits:
+    """Errors of the boxes of a detector."""
+
+    noise: BoxNoise
+    errors: FloatArray  # (size classes, 2, 2) systematic ones, see `box_error_table`
+    are_visible: bool  # whether boxes end where a nearer object begins
+
+    @classmethod
+    def of(
+        cls,
+        width_px: int,
+        *,
+        box_sigma_px: float | None = None,
+        errors: BoxErrors | None = None,
+        are_visible: bool = False,
+    ) -> BoxTraits:
+        """Those of a detector in images of this width, with the standard deviation `box_sigma_px` of
+        all edges, None = typical of a detector. `errors` None = an unknown detector, or with
+        `box_sigma_px` no such errors.
+        """
+        if box_sigma_px is None:
+            return cls(detector_noise(width_px), box_error_table(errors), are_visible)
+        table = _NO_ERRORS if errors is None else box_error_table(errors)
+        return cls(BoxNoise(box_sigma_px, 0.0, 0.0), table, are_visible)
+
+
 def measured_boxes(
     xyxy_px: FloatArray,
     size_class: IntArray,

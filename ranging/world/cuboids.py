@@ -9,28 +9,19 @@ and back cannot be told apart, the yaw may be turned by 180 degrees.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from track_range.foundation.arrays import BoolArray, FloatArray
-from track_range.ranging.measurement.ranges import Ranges
-from track_range.ranging.size_models.class_sizes import ClassSizes
-from track_range.ranging.size_models.cuboid import box_of_cuboid
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.world.ego_path import EgoPose
-from track_range.ranging.world.object_motion import ObjectMotion
-from track_range.ranging.world.placement import Placement, of_turn, point_covariance
-from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.ranging.world.placement import of_turn
 from track_range.stereo.geometry.mounting import Mounting
-from track_range.tracking.tracks import Tracks
 
 # rows: x forward, y left, z up of a camera that looks along x, in its axes (right, down, forward)
 _LEVEL_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 _PAIRS = ([0, 0, 1], [1, 2, 2])  # of axes: xy, xz, yz
-# of the yaw of an object whose motion is unknown: along the drive or parked at an angle
-_ANY_YAW_SIGMA_DEG = 30.0
-_COURSE_SIGMA_DEG = 10.0  # of the course of an object that moves
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +69,30 @@ class Cuboids:
         nan, nan3 = np.full(n, np.nan), np.full((n, 3), np.nan)
         return cls(nan3, nan3, nan, nan, np.zeros(n, np.bool_), nan3, nan3, nan3, nan3, nan3)
 
+    @classmethod
+    def of(cls, *, centre_m: FloatArray, covariance_m2: FloatArray, **columns: Any) -> Cuboids:
+        """The cuboids with these (N, 3, 3) covariances of the centres, in the camera's axes only."""
+        sigma_m = np.sqrt(np.diagonal(covariance_m2, axis1=1, axis2=2))
+        first, second = _PAIRS
+        correlation = covariance_m2[:, first, second] / (sigma_m[:, first] * sigma_m[:, second])
+        return cls(
+            **columns,
+            centre_m=centre_m,
+            centre_sigma_m=sigma_m,
+            centre_correlation=correlation,
+            vehicle_m=np.full_like(centre_m, np.nan),
+            world_m=np.full_like(centre_m, np.nan),
+        )
+
+    def in_rows(self, rows: IntArray, n: int) -> Cuboids:
+        """These cuboids as the rows of n, of which the others are unknown."""
+        unknown = Cuboids.unknown(n)
+        columns = {}
+        for name in self.__slots__:
+            columns[name] = column = getattr(unknown, name).copy()
+            column[rows] = getattr(self, name)
+        return Cuboids(**columns)
+
     @property
     def covariance_m2(self) -> FloatArray:
         """(N, 3, 3) covariances of the centres in the camera's axes."""
@@ -100,7 +115,7 @@ class Cuboids:
         return CuboidPlaces(
             mounting.in_vehicle(self.centre_m),
             covariance,
-            _wrapped(self.yaw_deg + mounting.yaw_deg),
+            wrapped_deg(self.yaw_deg + mounting.yaw_deg),
         )
 
     def in_world(self, pose: EgoPose, mounting: Mounting | None = None) -> CuboidPlaces:
@@ -108,9 +123,10 @@ class Cuboids:
         the covariance.
         """
         heading_deg = math.degrees(pose.heading_rad)
-        turn = Rotation.from_euler("z", 0.0 if math.isnan(heading_deg) else heading_deg, True)
-        level = _LEVEL_FROM_CAMERA if mounting is None else _level_of(mounting)
-        R = turn.as_matrix() @ level
+        level = _LEVEL_FROM_CAMERA
+        if mounting is not None:  # pitch and roll remain
+            level = _turn(-math.radians(mounting.yaw_deg)) @ mounting.vehicle_from_camera
+        R = _turn(0.0 if math.isnan(pose.heading_rad) else pose.heading_rad) @ level
         along_m = self.centre_m @ R.T
         covariance = R @ self.covariance_m2 @ R.T
         J = np.zeros((len(along_m), 2, 3))  # d (x, y) / d (x, y, heading) of the pose
@@ -119,81 +135,15 @@ class Cuboids:
         covariance[:, :2, :2] += J @ pose.covariance @ J.transpose(0, 2, 1)
         height_m = math.nan if mounting is None or mounting.z_m is None else mounting.z_m
         centre_m = along_m + np.array([pose.x_m, pose.y_m, height_m])
-        return CuboidPlaces(centre_m, covariance, _wrapped(self.yaw_deg + heading_deg))
+        return CuboidPlaces(centre_m, covariance, wrapped_deg(self.yaw_deg + heading_deg))
 
 
-def _level_of(mounting: Mounting) -> FloatArray:
-    """The axes of a camera, in those of the vehicle turned by its yaw: pitch and roll remain."""
-    turned = Rotation.from_euler("z", -mounting.yaw_deg, degrees=True).as_matrix()
-    return np.asarray(turned @ mounting.vehicle_from_camera)
+def _turn(angle_rad: float) -> FloatArray:
+    """(3, 3) rotation about z."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _wrapped(deg: FloatArray) -> FloatArray:
+def wrapped_deg(deg: FloatArray) -> FloatArray:
     """Angles from -180 to 180 degrees."""
     return np.asarray((deg + 180.0) % 360.0 - 180.0)
-
-
-class CuboidEstimator:
-    """Estimates the cuboids of the tracks of a drive, frame by frame."""
-
-    def __init__(self, mounting: Mounting | None = None, sizes: ClassSizes | None = None) -> None:
-        """`mounting` is that of the view, `sizes` those of the classes; None = unknown."""
-        self._mounting, self._sizes = mounting, sizes
-
-    def update(
-        self,
-        tracks: Tracks,
-        camera: PinholeCamera,
-        placement: Placement,
-        distance: Ranges,
-        motion: ObjectMotion,
-        pose: EgoPose,
-    ) -> Cuboids:
-        """The cuboids of N tracks, whose `placement` is at the filtered `distance`; `motion` is over
-        ground, and `pose` that of the camera.
-        """
-        if self._sizes is None or not len(tracks):
-            return Cuboids.unknown(len(tracks))
-        class_id = tracks.class_id
-        lwh_m, lwh_sigma_m = self._sizes.lwh_m[class_id], self._sizes.sigma_m[class_id]
-        course_deg = _wrapped(motion.heading_deg - math.degrees(pose.heading_rad))
-        front_known = np.isfinite(course_deg)
-        along_deg = 0.0 if self._mounting is None else -self._mounting.yaw_deg
-        yaw_deg = np.where(front_known, course_deg, along_deg)
-        yaw_sigma_deg = np.where(front_known, _COURSE_SIGMA_DEG, _ANY_YAW_SIGMA_DEG)
-        rays = placement.xyz_m / placement.xyz_m[:, 2:]
-        length_m, width_m, height_m = lwh_m.T
-        projected = box_of_cuboid(
-            np.log([height_m, width_m, length_m]),
-            yaw_rad=-np.radians(yaw_deg),
-            bearing=rays[:, 0],
-            distance_m=distance.distance_m,
-            camera_height_m=1.5,
-        )
-        x_m, z_m = projected.xz_m
-        bottom = (tracks.xyxy_px[:, 3] - camera.cy_px) / camera.fy_px
-        y_m = bottom / projected.inverse_depths[0] - height_m / 2
-        centre_m = np.column_stack([x_m, y_m, z_m])
-        covariance_m2 = point_covariance(
-            placement.xyz_m, placement.xy_sigma_m, np.hypot(distance.sigma_m, lwh_sigma_m[:, 0] / 2)
-        )
-        sigma_m = np.sqrt(np.diagonal(covariance_m2, axis1=1, axis2=2))
-        first, second = _PAIRS
-        correlation = covariance_m2[:, first, second] / (sigma_m[:, first] * sigma_m[:, second])
-        cuboids = Cuboids(
-            lwh_m=lwh_m,
-            lwh_sigma_m=lwh_sigma_m,
-            yaw_deg=yaw_deg,
-            yaw_sigma_deg=yaw_sigma_deg,
-            front_known=front_known,
-            centre_m=centre_m,
-            centre_sigma_m=sigma_m,
-            centre_correlation=correlation,
-            vehicle_m=centre_m,
-            world_m=centre_m,
-        )
-        return replace(
-            cuboids,
-            vehicle_m=cuboids.in_vehicle(self._mounting).centre_m,
-            world_m=cuboids.in_world(pose, self._mounting).centre_m,
-        )

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from scipy.special import ndtr
@@ -121,6 +121,46 @@ class ObjectMotion:
         return cls(*np.full((len(cls.__slots__), n), np.nan))
 
 
+class GroundVelocity(NamedTuple):
+    """Velocities of N tracks over ground in camera axes, (N,) each; NaN = unknown."""
+
+    along_mps: FloatArray  # u
+    right_mps: FloatArray  # x'
+    along_variance: FloatArray  # of u, over being at rest and moving
+    right_variance: FloatArray  # B
+
+    @classmethod
+    def of(cls, motion: FilteredRanges, lateral: LateralMotion, ego: EgoMotion) -> GroundVelocity:
+        """The velocities by filtered distances and lateral positions."""
+        v, x = motion.state, lateral.state
+        sigma_V, yaw_rad_s, s2 = _errors(motion, ego)
+        u = v.v + ego.speed_mps - yaw_rad_s * x.x
+        A = v.P_vv + s2 * v.v**2 + sigma_V**2
+        B = RATE_FACTOR * x.P_vv + s2 * (x.v - ego.right_mps) ** 2 + ego.right_sigma_mps**2
+        return cls(u, x.v, A, B)
+
+    @classmethod
+    def of_courses(cls, motion: ObjectMotion, pose: EgoPose) -> GroundVelocity:
+        """The velocities by the speeds and headings in the frame `map`, in which the camera has a
+        `pose`.
+        """
+        heading_rad = np.radians(motion.heading_deg) - pose.heading_rad
+        speed_mps = np.where(np.isnan(heading_rad), 0.0 * motion.speed_mps, motion.speed_mps)
+        heading_rad, variance = np.nan_to_num(heading_rad), motion.speed_sigma_mps**2
+        along_mps, right_mps = speed_mps * np.cos(heading_rad), -speed_mps * np.sin(heading_rad)
+        return cls(along_mps, right_mps, variance, variance)
+
+
+def _errors(motion: FilteredRanges, ego: EgoMotion) -> tuple[float, float, FloatArray]:
+    """sigma_V, yaw rate w, and variance s^2 (N,) of the distances that all frames share."""
+    sigma_V = ego.speed_sigma_mps
+    sigma_V = sigma_V if math.isfinite(sigma_V) else _UNKNOWN_EGO_SIGMA_MPS
+    yaw_rad_s = ego.yaw_rad_s if math.isfinite(ego.yaw_rad_s) else 0.0
+    state = motion.state
+    s2 = np.maximum(motion.ranges.sigma_m**2 - state.P_xx, 0.0) / state.x**2
+    return sigma_V, yaw_rad_s, s2
+
+
 def over_ground(
     motion: FilteredRanges,
     lateral: LateralMotion,
@@ -135,13 +175,9 @@ def over_ground(
     too. Speeds are NaN without an ego speed, and where their standard deviation is above 3 m/s.
     `axis_rad` is the direction of the axis from that of the drive, positive = to the left.
     """
-    d, v, x = motion.state.x, motion.state.v, lateral.state
-    V, sigma_V = ego.speed_mps, ego.speed_sigma_mps
-    sigma_V = sigma_V if math.isfinite(sigma_V) else _UNKNOWN_EGO_SIGMA_MPS
-    yaw_rad_s = ego.yaw_rad_s if math.isfinite(ego.yaw_rad_s) else 0.0
-    s2 = np.maximum(motion.ranges.sigma_m**2 - motion.state.P_xx, 0.0) / d**2
-    u, right = v + V - yaw_rad_s * x.x, x.v
-    B = RATE_FACTOR * x.P_vv + s2 * (right - ego.right_mps) ** 2 + ego.right_sigma_mps**2
+    v, V = motion.state.v, ego.speed_mps
+    sigma_V, _, s2 = _errors(motion, ego)
+    u, right, _, B = GroundVelocity.of(motion, lateral, ego)
 
     # Moments of u where the object moves along the axis.
     static = np.zeros_like(v) if motion.static is None else motion.static

@@ -142,7 +142,9 @@ MOST_STATEMENTS = {
     # delta 1 of published evaluations and the places of labelled boxes (5)
     # corners of cuboids (10)
     # the width of the lane for summary.json, unless the lines are no lane (5)
-    "ranging": 10_358,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    # the width of the lane for summary.json (3)
+    # sizes and headings of cuboids by their boxes and course (220)
+    "ranging": 10_339,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
     # `check` (4)
@@ -238,6 +240,7 @@ MOST_STATEMENTS = {
     # methods that are only shown (15)
     # fused methods do not read those that are only shown (4)
     # places of cuboids, one by one (12)
+    # velocities for cuboids (5)
     "pipeline": 1_252,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
@@ -316,7 +319,8 @@ MOST_STATEMENTS = {
     # the road of a scenario beside it, and what it lacks (20)
     # marks of files that begin with a length (2)
     # the events of a run for its writers (4)
-    "run": 3_205,
+    # traits of boxes for cuboids (1)
+    "run": 3_164,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that
     # look to any side from any place of the vehicle (24)
     # vehicles out of side roads, which cross or give way (39)

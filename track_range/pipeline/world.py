@@ -12,10 +12,11 @@ from track_range.ranging.filtering.lateral_motion import LateralMotion
 from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.size_models.class_sizes import ClassSizes
-from track_range.ranging.size_models.size_model import BoxNoise
-from track_range.ranging.world.cuboids import CuboidEstimator, Cuboids
+from track_range.ranging.size_models.size_model import BoxNoise, BoxTraits
+from track_range.ranging.world.cuboid_estimator import CuboidEstimator
+from track_range.ranging.world.cuboids import Cuboids
 from track_range.ranging.world.ego_path import EgoPath, EgoPose
-from track_range.ranging.world.object_motion import ObjectMotion, ObjectMotions
+from track_range.ranging.world.object_motion import GroundVelocity, ObjectMotion, ObjectMotions
 from track_range.ranging.world.placement import Placement, Placements
 from track_range.ranging.world.road_motion import RoadMotions
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -61,12 +62,13 @@ class WorldStage:
         centre_sigma_px: float = 0.0,
         mounting: Mounting | None = None,
         sizes: ClassSizes | None = None,
+        traits: BoxTraits | None = None,
         road: RoadMotions | None = None,
     ) -> None:
         """`centre_sigma_px` is the standard deviation of the camera's principal point; with a
         `mounting`, states of motion are relative to the drive, and positions in the vehicle are
-        known; `sizes` are those of the classes. `road` has the motion on the plane of the road
-        before a camera that stands still, and its frame is `map`.
+        known; `sizes` are those of the classes, `traits` of the detector's boxes. `road` has the
+        motion on the plane of the road before a camera that stands still, and its frame is `map`.
         """
         self.road = road
         self._camera, self._centre_sigma_px = camera, centre_sigma_px
@@ -74,7 +76,7 @@ class WorldStage:
         axis_deg = 0.0 if mounting is None else mounting.yaw_deg
         self._path, self._motions = EgoPath(), ObjectMotions(math.radians(axis_deg))
         self._placements = Placements(mounting)
-        self._cuboids = CuboidEstimator(mounting, sizes)
+        self._cuboids = CuboidEstimator(mounting, sizes, traits)
 
     def update(
         self,
@@ -109,7 +111,12 @@ class WorldStage:
             lateral=lateral,
             ego=ego,
         )
-        cuboids = self._cuboids.update(tracks, camera, placement, ranges["fused_kf"], motion, pose)
+        if self.road is None:
+            velocity = GroundVelocity.of(filtered.fused, lateral, ego)
+        else:
+            velocity = GroundVelocity.of_courses(motion, pose)
+        distance = ranges["fused_kf"]
+        cuboids = self._cuboids.update(tracks, camera, distance, velocity, pose, time_s)
         return World(rays * distance_m, xy_sigma_m, motion, pose, placement, cuboids)
 
     def _moved(
