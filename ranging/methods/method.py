@@ -25,7 +25,7 @@ from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.network_scale import NetworkDistances
 from track_range.ranging.size_models.region import Region
-from track_range.ranging.size_models.size_model import SizeModel
+from track_range.ranging.size_models.size_model import BoxTraits, SizeModel
 from track_range.ranging.world.road_plane import RoadPlane
 from track_range.stereo.geometry.alignment import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -262,6 +262,16 @@ class MethodContext:
         """
         known = None if self.rig is None else self.rig.alignment
         return known or Alignment()
+
+    @property
+    def traits(self) -> BoxTraits:
+        """Errors of the boxes."""
+        return BoxTraits.of(
+            self.camera.width_px,
+            box_sigma_px=self.box_sigma_px,
+            errors=self.box_errors,
+            are_visible=self.has_visible_boxes,
+        )
 
     @property
     def available(self) -> frozenset[Requirement]:

@@ -37,7 +37,6 @@ from track_range.ranging.registry import methods
 from track_range.ranging.size_models.class_sizes import ClassSizes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.region import Region
-from track_range.ranging.size_models.size_model import BoxTraits
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.world.ground_file import checked_plane, read_ground
@@ -182,12 +181,7 @@ def open_pipeline(
             centre_sigma_px=calibration.centre_sigma_px,
             mounting=_at_height(mounting, context.camera_height_m),
             sizes=ClassSizes.of(context.size_model),
-            traits=BoxTraits.of(
-                camera.width_px,
-                box_sigma_px=context.box_sigma_px,
-                errors=context.box_errors,
-                are_visible=context.has_visible_boxes,
-            ),
+            traits=context.traits,
             road=None if context.road_plane is None else RoadMotions(context.road_plane),
         ),
         alarming=alarming,
