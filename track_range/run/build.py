@@ -176,14 +176,7 @@ def open_pipeline(
             has_visible_boxes=context.has_visible_boxes,
             mounting=mounting,
         ),
-        world=WorldStage(
-            camera,
-            centre_sigma_px=calibration.centre_sigma_px,
-            mounting=_at_height(mounting, context.camera_height_m),
-            sizes=ClassSizes.of(context.size_model),
-            traits=context.traits,
-            road=None if context.road_plane is None else RoadMotions(context.road_plane),
-        ),
+        world=_world_stage(context, calibration, mounting),
         alarming=alarming,
         setup_notes=(
             *appearance_notes,
@@ -192,6 +185,20 @@ def open_pipeline(
         ),
         background=background or InThreads(),
         clock=StageClock(ranging.rangers),
+    )
+
+
+def _world_stage(
+    context: MethodContext, calibration: RecordingCalibration, mounting: Mounting | None
+) -> WorldStage:
+    """Places the tracks before the camera, whose view has a `mounting`."""
+    return WorldStage(
+        calibration.camera,
+        centre_sigma_px=calibration.centre_sigma_px,
+        mounting=_at_height(mounting, context.camera_height_m),
+        sizes=ClassSizes.of(context.size_model),
+        traits=context.traits,
+        road=None if context.road_plane is None else RoadMotions(context.road_plane),
     )
 
 
