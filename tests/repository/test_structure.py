@@ -144,7 +144,7 @@ MOST_STATEMENTS = {
     # the width of the lane for summary.json, unless the lines are no lane (5)
     # the width of the lane for summary.json (3)
     # sizes and headings of cuboids by their boxes and course (220)
-    "ranging": 10_665,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 10_667,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
     # `check` (4)
@@ -320,7 +320,7 @@ MOST_STATEMENTS = {
     # marks of files that begin with a length (2)
     # the events of a run for its writers (4)
     # traits of boxes for cuboids (1)
-    "run": 3_205,
+    "run": 3_207,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that
     # look to any side from any place of the vehicle (24)
     # vehicles out of side roads, which cross or give way (39)
