@@ -226,7 +226,7 @@ class InputOptions(Options):
             "Speed of the camera along its axis, with --mount that of the vehicle, for the absolute "
             "speeds of objects: from GPS records in the "
             "video or in a file beside it, else from the images (auto), unknown (off), a constant "
-            "in km/h, a file (CSV, GPX, NMEA, SRT, ...), or KITTI's oxts folder.",
+            "in km/h, a file (CSV, GPX, NMEA, SRT, MF4, BLF, ...), or KITTI's oxts folder.",
             is_per_clip=True,
             words=("auto", "off"),
             metavar="KMH|FILE|DIR",

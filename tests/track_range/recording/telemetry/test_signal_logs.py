@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import math
 from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.track_range.recording.telemetry.telemetry_files import START_S, part
 from tests.track_range.results.moving_frames import frame, info
+from track_range.recording.speed_source import _named
 from track_range.recording.telemetry.found import named_telemetry
 from track_range.recording.telemetry.sidecars.reading import read_sidecar
 from track_range.recording.telemetry.sidecars.sidecar import ANY_SIGNAL, SignalChoice
+from track_range.recording.telemetry.speed_files import EgoSpeedError
 from track_range.recording.telemetry.tracks.track import TelemetryError
 from track_range.results.writers import OpenWriters
+from track_range.run.options.settings import RunSettings
 
 asammdf = pytest.importorskip("asammdf", reason="asammdf is not installed (extra adas)")
 can = pytest.importorskip("can", reason="python-can is not installed (extra adas)")
@@ -100,7 +104,7 @@ def test_frames_of_a_bus(tmp_path, dbc, kind):
         start_s += zone.total_seconds()
     track = read(path, SignalChoice(database=dbc))
     check(track, clock="local", start_s=start_s)
-    assert track.notes[0] == "the speed is ESP_A.VehicleSpeed in km/h, as stated."
+    assert track.notes[0] == "the speed is ESP_A.VehicleSpeed in km/h."
     found = named_telemetry(
         path, [part(duration_s=20.0, start_s=start_s)], SignalChoice(database=dbc)
     )
@@ -118,8 +122,8 @@ def test_values_that_are_no_speed(tmp_path, dbc):
     expected = [math.nan, math.nan, 0.0, math.nan, math.nan, 400 / 3.6]
     np.testing.assert_allclose(track.speed_mps[:6], expected)
     assert track.notes[1:] == (
-        "1 frame cannot be decoded and are not used.",
-        "4 samples without a valid value are not used.",
+        "1 frame cannot be decoded.",
+        "4 samples have no valid value.",
     )
     no_speed = log_of(tmp_path / "b.blf", frames(np.full(len(T), 65535)))
     with pytest.raises(TelemetryError, match="200 samples without a valid one"):
@@ -149,6 +153,11 @@ def test_j1939_needs_no_database(tmp_path, dbc):
     track = read(path)
     assert math.isnan(track.speed_mps[3])
     np.testing.assert_allclose(np.delete(track.speed_mps, 3), np.delete(V, 3), atol=0.002)
+    silent = frames(np.full(len(T), 0xFFFF), identifier=0x18FEF100, extended=True, shift_s=0.01)
+    both = read(
+        log_of(tmp_path / "two.blf", frames(raw, identifier=0x18FEF121, extended=True), silent)
+    )
+    np.testing.assert_allclose(both.speed_mps, track.speed_mps)
     with pytest.raises(TelemetryError, match="give the DBC of the bus with --dbc"):
         read(log_of(tmp_path / "car.blf", frames()))
     with pytest.raises(TelemetryError, match="give the database of this bus"):
@@ -177,6 +186,7 @@ def test_damaged_and_empty_logs(tmp_path, dbc):
         ("b.blf", b"", "a BLF file, found another format"),
         ("b.blf", b"LOGG" + bytes(300), "b.blf"),
         ("b.asc", b"\xff\xfe\0text", "b.asc"),
+        ("b.asc", b"date Fri\n 1e300 1 490 Rx d 8 FF 10 0E 00 00 00 00 00\n", "b.asc"),
         ("b.asc", b"date Fri\nbase hex  timestamps relative\n", "expected"),
         ("b.mf4", b"MDF     4.10    " + bytes(60), "an ASAM MDF file, found"),
         ("b.mf4", b"not a measurement", "another format"),
@@ -209,7 +219,7 @@ def test_channels_of_a_measurement(tmp_path):
     expected[1] = np.nan
     np.testing.assert_allclose(track.speed_mps, expected, atol=0.002)
     assert track.clock == "utc"
-    assert track.notes[0] == "the speed is vehicle.ESP_v in km/h, as stated."
+    assert track.notes[0] == "the speed is vehicle.ESP_v in km/h."
     local = mdf_of(tmp_path / "b.mf4", [[speed]], datetime(2026, 5, 3, 10, 0, 0))
     assert read(local).clock == "local"
     undated = mdf_of(tmp_path / "c.mf4", [[speed]], datetime.fromtimestamp(0, UTC))
@@ -226,14 +236,23 @@ def test_several_channels_are_a_question(tmp_path):
         TelemetryError, match=r"unit of speed, found .*VehV.*SpeedGps.*VehV.*--speed"
     ):
         read(path)
-    with pytest.raises(TelemetryError, match="one signal 'VehV', found"):
+    with pytest.raises(TelemetryError, match=r"one signal 'VehV', found 0\.VehV, 1\.VehV"):
         read(path, SignalChoice(name="VehV"))
+    np.testing.assert_allclose(read(path, SignalChoice(name="1.VehV")).speed_mps, V / 1.2)
     assert read(path, SignalChoice(name="SpeedGps")).unit == "m/s"
     texts = mdf_of(
         tmp_path / "b.mf4", [[signal("v", np.array([b"SNA"] * len(T)), "km/h", encoding="utf-8")]]
     )
     with pytest.raises(TelemetryError, match="without a valid one"):
         read(texts)
+
+
+def test_options_of_a_run():
+    """The signal is that of --speed-channel and --dbc, which a number has not."""
+    settings = RunSettings(mono="drive.mp4", speed_channel="VehV [km/h]", dbc="car.dbc")
+    assert settings.speed_signal == SignalChoice(name="VehV [km/h]", database=Path("car.dbc"))
+    with pytest.raises(EgoSpeedError, match=r"--ego-speed 50: expected .*\.mf4, .*--speed-channel"):
+        _named("50", [part()], lambda: None, settings.speed_signal)
 
 
 def test_speed_of_a_run(tmp_path):

@@ -81,7 +81,8 @@ def read_mdf(path: Path, choice: SignalChoice = ANY_SIGNAL) -> TelemetryTrack:
         start = mdf.header.start_time
         clock: Clock = "local" if start.tzinfo is None else "utc"
         has_frames = "CAN_DataFrame" in mdf.channels_db
-        if has_frames and (choice.database is not None or not _speeds(signals)):
+        has_speed = bool(choice.name or _speeds(signals))
+        if has_frames and (choice.database is not None or not has_speed):
             return read_frames(path, choice, clock)
         signal, unit = _chosen(path, signals, choice)
         group, index = signal.key
@@ -115,17 +116,20 @@ def read_frames(
         notes = _collect(frames, message, signal.name, streams)
         if getattr(frames, "timestamps_format", None) == "relative":
             raise TelemetryError(f"{path}: expected absolute timestamps, found relative ones.")
-    time_s, values = _one_stream(path, named, streams, is_given=choice.database is not None)
-    if clock == "local" and reader != "BLFReader":  # python-can takes the time zone of this machine
-        zone = datetime.fromtimestamp(time_s[0], UTC).astimezone().utcoffset()
-        time_s = time_s + (zone.total_seconds() if zone and time_s[0] > _FIRST_DATE_S else 0.0)
-    is_plain = not signal.is_float and not signal.is_signed
-    mark = signal.offset + signal.scale * (2**signal.length - 1) if is_plain else np.inf
-    is_wrong = np.isclose(values, mark, rtol=1e-9)
-    low, high = signal.minimum, signal.maximum
-    if low is not None and high is not None and low < high:
-        is_wrong |= (values < low - 1e-6) | (values > high + 1e-6)
-    return _track(path, named, unit, clock, time_s, np.where(is_wrong, np.nan, values), *notes)
+        if not streams:
+            advice = "give the DBC of the bus with --dbc"
+            if choice.database is not None:
+                advice = "give the database of this bus"
+            raise TelemetryError(
+                f"{path}: expected frames with {named.place}, found none; {advice}."
+            )
+        time_s, values = _one_stream(path, named, [np.array(rows).T for rows in streams.values()])
+        if (
+            clock == "local" and reader != "BLFReader"
+        ):  # python-can takes the time zone of this machine
+            zone = datetime.fromtimestamp(time_s[0], UTC).astimezone().utcoffset()
+            time_s = time_s + (zone.total_seconds() if zone and time_s[0] > _FIRST_DATE_S else 0.0)
+    return _track(path, named, unit, clock, time_s, values, *notes)
 
 
 def _form_of(path: Path) -> tuple[str, str, tuple[bytes, ...]]:
@@ -166,8 +170,10 @@ def _close_halves(error: Exception) -> None:
 
 def _signals(mdf: Any) -> Iterator[_Signal]:
     """The channels of a file without its master channels."""
+    labels = [getattr(content.channel_group, "acq_name", "") for content in mdf.groups]
     for group, content in enumerate(mdf.groups):
-        label = getattr(content.channel_group, "acq_name", "") or str(group)
+        is_unique = labels[group] and labels.count(labels[group]) == 1
+        label = labels[group] if is_unique else str(group)
         master = mdf.masters_db.get(group)
         for index, channel in enumerate(content.channels):
             if index != master:
@@ -245,7 +251,8 @@ def _collect(
             except Exception:  # too few bytes, or a multiplexer that the database does not have
                 n_short += 1
                 continue
-            if value is not None:  # else of another multiplexer
+            # other messages of a multiplexer do not have the signal
+            if value is not None and np.isfinite(frame.timestamp):
                 stream = streams[frame.channel, frame.arbitration_id]
                 stream.append((frame.timestamp, _number(value)))
     except Exception:  # a log that was cut off has samples up to there
@@ -253,35 +260,42 @@ def _collect(
             raise
         notes.append("the log is damaged or cut off, and is used up to there.")
     if n_short:
-        notes.append(f"{counted(n_short, 'frame')} cannot be decoded and are not used.")
+        notes.append(f"{counted(n_short, 'frame')} cannot be decoded.")
     return notes
 
 
 def _one_stream(
-    path: Path,
-    signal: _Signal,
-    streams: dict[tuple[object, int], list[tuple[float, float]]],
-    *,
-    is_given: bool,
+    path: Path, named: _Signal, streams: Sequence[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Times and values of the longest stream; TelemetryError: there is none, or another one
-    differs from it.
+    """Times and values, NaN = no value, of the stream (2, N) with most values; TelemetryError: another
+    one differs from it.
     """
-    if not streams:
-        advice = (
-            "give the database of this bus" if is_given else "give the DBC of the bus with --dbc"
-        )
-        raise TelemetryError(f"{path}: expected frames with {signal.place}, found none; {advice}.")
-    arrays = sorted((np.array(rows) for rows in streams.values()), key=len, reverse=True)
-    time_s, values = arrays[0].T
-    for other_s, others in (array.T for array in arrays[1:]):
-        difference = np.nanmedian(np.abs(np.interp(other_s, time_s, values) - others))
-        if difference > 0.1 * np.nanmedian(np.abs(others)) + 1.0:
+    valid = [(time_s, _valid(named.key[1], values)) for time_s, values in streams]
+    valid.sort(key=lambda stream: int(np.isfinite(stream[1]).sum()), reverse=True)
+    time_s, values = valid[0]
+    is_known = np.isfinite(values)
+    for other_s, others in ((t[np.isfinite(v)], v[np.isfinite(v)]) for t, v in valid[1:]):
+        if not len(others):
+            continue
+        here = np.interp(other_s, time_s[is_known], values[is_known])
+        if np.median(np.abs(here - others)) > 0.1 * np.median(np.abs(others)) + 1.0:
             raise TelemetryError(
-                f"{path}: expected one speed of the car, found {signal.place} of {len(streams)} buses "
+                f"{path}: expected one speed of the car, found {named.place} of {len(streams)} buses "
                 "or control units, which differ; cut the log to one of them."
             )
     return time_s, values
+
+
+def _valid(signal: Any, values: FloatArray) -> FloatArray:
+    """(N,) values, NaN where they are outside of the range of the database, or all bits are set."""
+    is_wrong = np.zeros(len(values), np.bool_)
+    if not signal.is_float and not signal.is_signed:
+        mark = signal.offset + signal.scale * (2**signal.length - 1)
+        is_wrong = np.isclose(values, mark, rtol=1e-9)
+    low, high = signal.minimum, signal.maximum
+    if low is not None and high is not None and low < high:
+        is_wrong |= (values < low - 1e-6) | (values > high + 1e-6)
+    return np.where(is_wrong, np.nan, values)
 
 
 def _numbers(samples: Any) -> FloatArray:
@@ -315,9 +329,9 @@ def _track(
             f"{path}: expected values of {signal.place}, found {counted(n_missing, 'sample')} "
             "without a valid one."
         )
-    said = [f"the speed is {signal.place} in {unit}, as stated.", *notes]
+    said = [f"the speed is {signal.place} in {unit}.", *notes]
     if n_missing:
-        said.append(f"{counted(n_missing, 'sample')} without a valid value are not used.")
+        said.append(f"{counted(n_missing, 'sample has', 'samples have')} no valid value.")
     if time_s[0] < _FIRST_DATE_S:
         clock = "video"
         said.append("it has no date; its times count from the first frame of the video.")
