@@ -18,6 +18,7 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.bootstrap import Resamples, Statistic, figures_of
 from track_range.ranging.truth.errors import fraction, within_sigmas
+from track_range.ranging.world.cuboid_corners import cuboid_corners
 from track_range.ranging.world.cuboids import Cuboids
 
 _SIDE_DEG = 15.0  # smallest angle between the view and the long axis at which a side is seen
@@ -97,43 +98,21 @@ def _nearest_side(
     measured: Cuboids, true: Cuboids, axis_rad: FloatArray | float
 ) -> tuple[FloatArray, FloatArray]:
     """(N,) errors of the nearest edge across the path, positive = too far from it, with sigma."""
-    across, _ = _footprint(true, axis_rad)
-    outward = np.sign(across)
-    edges_m = []
-    for cuboids in (measured, true):
-        centre_m, half_m = _footprint(cuboids, axis_rad)
-        edges_m.append(outward * centre_m - half_m)
+    right = np.stack(np.broadcast_arrays(np.cos(axis_rad), 0.0, -np.sin(axis_rad)), axis=-1)
+    outward = np.sign((true.centre_m * right).sum(axis=1))[:, None] * right
+    edge_m, true_edge_m = (
+        (cuboid_corners(one) @ outward[..., None]).min(axis=(1, 2)) for one in (measured, true)
+    )
     is_near = np.linalg.norm(true.centre_m[:, [0, 2]], axis=1) < _SIDE_BELOW_M
-    error_m = np.where(is_near, edges_m[0] - edges_m[1], np.nan)
     turn_rad = np.radians(measured.yaw_deg) + axis_rad
     sin, cos = np.sin(turn_rad), np.cos(turn_rad)
     length_m, width_m, _ = measured.lwh_m.T
     of_turn = np.sign(sin * cos) * (length_m * np.abs(cos) - width_m * np.abs(sin)) / 2
-    parts = (
-        _across(measured.centre_sigma_m**2, axis_rad, is_variance=True),
-        (sin / 2 * measured.lwh_sigma_m[:, 0]) ** 2,
-        (cos / 2 * measured.lwh_sigma_m[:, 1]) ** 2,
-        (of_turn * np.radians(measured.yaw_sigma_deg)) ** 2,
-    )
-    return error_m, np.sqrt(sum(parts))
-
-
-def _footprint(cuboids: Cuboids, axis_rad: FloatArray | float) -> tuple[FloatArray, FloatArray]:
-    """(N,) offsets of the centres to the right of the path, and half of the extents across it."""
-    turn_rad = np.radians(cuboids.yaw_deg) + axis_rad
-    length_m, width_m, _ = cuboids.lwh_m.T
-    half_m = (np.abs(np.sin(turn_rad)) * length_m + np.abs(np.cos(turn_rad)) * width_m) / 2
-    return _across(cuboids.centre_m, axis_rad), half_m
-
-
-def _across(
-    vectors: FloatArray, axis_rad: FloatArray | float, *, is_variance: bool = False
-) -> FloatArray:
-    """(N,) parts to the right of the path of vectors (N, 3) in the axes of the camera."""
-    right, forward = np.cos(axis_rad), -np.sin(axis_rad)
-    if is_variance:
-        right, forward = right**2, forward**2
-    return np.asarray(vectors[:, 0] * right + vectors[:, 2] * forward)
+    variance_m2 = ((measured.covariance_m2 @ right[..., None])[..., 0] * right).sum(axis=1)
+    variance_m2 += (sin / 2 * measured.lwh_sigma_m[:, 0]) ** 2
+    variance_m2 += (cos / 2 * measured.lwh_sigma_m[:, 1]) ** 2
+    variance_m2 += (of_turn * np.radians(measured.yaw_sigma_deg)) ** 2
+    return np.where(is_near, edge_m - true_edge_m, np.nan), np.sqrt(variance_m2)
 
 
 def cuboid_figures(
