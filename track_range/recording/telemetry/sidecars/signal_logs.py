@@ -277,8 +277,8 @@ def _one_stream(
     for other_s, others in ((t[np.isfinite(v)], v[np.isfinite(v)]) for t, v in valid[1:]):
         if not len(others):
             continue
-        here = np.interp(other_s, time_s[is_known], values[is_known])
-        if np.median(np.abs(here - others)) > 0.1 * np.median(np.abs(others)) + 1.0:
+        expected = np.interp(other_s, time_s[is_known], values[is_known])
+        if np.median(np.abs(expected - others)) > 0.1 * np.median(np.abs(others)) + 1.0:
             raise TelemetryError(
                 f"{path}: expected one speed of the car, found {named.place} of {len(streams)} buses "
                 "or control units, which differ; cut the log to one of them."
