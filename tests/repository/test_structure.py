@@ -263,7 +263,7 @@ MOST_STATEMENTS = {
     # pixel formats of cameras as one table, also for bags (60), and times in nanoseconds (45)
     # values of more bits than a pixel format has (4)
     # depth of RealSense, OAK and ZED in bags: encodings, units, alignment, times (203)
-    # speeds of ASAM MDF and of frames of a CAN bus, by signal and database (206)
+    # speeds of ASAM MDF and of frames of a CAN bus, by signal and database (217)
     "recording": 8_639,
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)
@@ -282,7 +282,7 @@ MOST_STATEMENTS = {
     # decelerations of zero, which are no reason (1)
     # columns of optional methods in the files of their runs (25)
     # depth.tar (37)
-    # signals in object slots, of the lead and of the ego vehicle as MDF4 (106)
+    # signals in object slots, of the lead and of the ego vehicle as MDF4 (122)
     # the cuboids of rows (3)
     # cuboids with their directions in scenes and scenarios, and messages of Autoware (50)
     # roads of OpenDRIVE, their reference line, lanes and uncertainty (130)
@@ -315,7 +315,7 @@ MOST_STATEMENTS = {
     # earlier scenarios are checked before one is removed (1)
     # the visibility of the latest frames, among the health of pipelines (6)
     # options of methods and networks, and their part of the summary (110)
-    # the signal of the speed, and the database of a bus (6)
+    # the signal of the speed, and the database of a bus (7)
     # the road of a scenario beside it, and what it lacks (20)
     # marks of files that begin with a length (2)
     # the events of a run for its writers (4)
