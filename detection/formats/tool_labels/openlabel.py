@@ -139,11 +139,12 @@ def _facts(root: Object, frames: Mapping[int, Object], camera: str) -> tuple[Vid
     steps_s = np.diff([number(str(stamp)) for stamp in stamps]) / np.diff(list(frames))
     step_s = float(np.median(steps_s)) if len(steps_s) else 0.0
     lenses = [properties[key] for key in properties if key.startswith("intrinsics")]
+    sizes = [(lens["width_px"], lens["height_px"]) for lens in lenses if "width_px" in lens]
     facts = VideoFacts(
         name=Path(str(stream.get("uri", ""))).stem,
         n_frames=max(images) + 1,
         first_frame=min(images),
-        size_px=(whole(lenses[0]["width_px"]), whole(lenses[0]["height_px"])) if lenses else None,
+        size_px=(whole(sizes[0][0]), whole(sizes[0][1])) if sizes else None,
         fps=1 / step_s if 1 / _MAX_FPS <= step_s <= 1 / _MIN_FPS else None,
         is_rectified=root["metadata"].get(PIXELS) == "rectified",
     )
@@ -168,7 +169,7 @@ def _boxes(
         kind = re.split("[#/]", str(items[0]["type"]))[-1]
         label = _ROAD_CLASSES.get(kind) or _KIND.sub("", kind)
         image = _image(frame, frames[frame], camera)
-        common = ToolBox(image, label, _NO_EDGES, uid, shape="cuboid")
+        common = ToolBox(image, label, _NO_EDGES, uid, shape="cuboid that no camera shows")
         if has_boxes or not cuboids:
             yield from _boxes_of(items, camera, common, seen)
         else:

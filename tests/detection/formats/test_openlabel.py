@@ -15,6 +15,7 @@ from tests.detection.formats.tool_files import FILES
 from track_range.detection.formats.label_formats import read_labels
 from track_range.detection.formats.tables.box_table import BoxTable, VideoFacts
 from track_range.detection.formats.tables.errors import LabelFileError
+from track_range.ranging.truth.reference_distance import surface_distance_m
 
 CAR = "00000007-0000-4000-8000-000000000000"
 HALF = math.sqrt(0.5)
@@ -118,7 +119,30 @@ def test_poses_of_frames(tmp_path: Path) -> None:
     del root["frames"]["4"]["frame_properties"]  # without the pose, it has no place in the image
     table = read(tmp_path, root)
     assert table.frame.tolist() == [5]
-    assert "cuboid (1)" in table.notes[-1]
+    assert "that no camera shows (1)" in table.notes[-1]
+
+
+def test_distances_are_those_of_kitti_labels_with_the_same_boxes(tmp_path: Path) -> None:
+    """An independent implementation, on boxes in KITTI's convention (bottom centre, yaw about y)."""
+    rng = np.random.default_rng(1)
+    n = 60
+    location_m = rng.uniform([-8, 0.5, 8], [8, 2.5, 60], (n, 3))
+    hwl_m, yaw_rad = rng.uniform([1, 1, 2], [3, 2.5, 9], (n, 3)), rng.uniform(-3, 3, n)
+    middle_px = 100 * location_m[:, :2] / location_m[:, 2:] + [50, 25 - 3]
+    rays = np.column_stack([(middle_px - [50, 25]) / 100, np.ones(n)])
+    expected = surface_distance_m(rays, location_m, size_hwl_m=hwl_m, rotation_y_rad=yaw_rad)
+    objects: Any = {}
+    for i, ((x, y, z), (h, w, length)) in enumerate(zip(location_m, hwl_m, strict=True)):
+        box = {"name": "box", "coordinate_system": "CAM", "val": [*(middle_px[i] + 0.5), 4, 4]}
+        val = [x, y - h / 2, z, 0, yaw_rad[i], 0, length, h, w]
+        objects[str(i)] = {"object_data": {"bbox": [box], "cuboid": [cuboid(val, "CAM")]}}
+    root = document(
+        coordinate_systems={"CAM": {"type": "sensor_cs", "parent": ""}},
+        objects={uid: {"name": uid, "type": "car"} for uid in objects},
+        frames={"0": {"objects": objects}},
+    )
+    assert 30 < np.isfinite(expected).sum() < n  # some rays miss
+    np.testing.assert_allclose(read(tmp_path, root).distance_m, expected, rtol=1e-9)
 
 
 def test_camera_with_axes_of_a_vehicle(tmp_path: Path) -> None:

@@ -98,7 +98,7 @@ def test_read_again(written):
     assert table.frame.tolist() == [0, 0, 1, 1, 3, 3]
     assert table.track_id.tolist() == [3, 7] * 3
     assert table.class_id.tolist() == frames[0].tracks.class_id.tolist() * 3
-    np.testing.assert_allclose(table.xyxy_px[:2], frames[0].tracks.xyxy_px, atol=2e-4)
+    np.testing.assert_allclose(table.xyxy_px[:2], frames[0].tracks.xyxy_px, atol=1e-4)
     np.testing.assert_allclose(table.score[:2], frames[0].tracks.score)
     assert table.observed.tolist() == frames[0].tracks.observed.tolist() * 3
     np.testing.assert_allclose(table.distance_m[:2], [12.0, np.nan])

@@ -37,7 +37,7 @@ from track_range.results.rows.columns import viewer_columns
 OPENLABEL_FILE = "run.openlabel.json"
 _VEHICLE = "vehicle-iso8855"  # name in the standard's examples
 _ONTOLOGY = "https://openlabel.asam.net/V1-0-0/ontologies/openlabel_ontology_scenario_tags.ttl"
-_DECIMALS = 4  # of pixels, metres and other numbers
+_DECIMALS, _DECIMALS_OF_TURNS = 4, 9  # of pixels, metres and others; of quaternions
 _POINTERS = "object_data_pointers"
 _MARGIN_S = 0.001  # times of events are rounded
 
@@ -204,10 +204,11 @@ def _tracks(result: FrameResult, columns: Mapping[str, ResultColumn]) -> Iterato
             "boolean": _named({"predicted": not track.is_observed}),
         }
         data = {
-            "bbox": [_shape("box", [*middle, x2 - x1, y2 - y1], attributes)],
+            "bbox": [_shape("box", _rounded([*middle, x2 - x1, y2 - y1]), attributes)],
             "num": _named(_known(**track.figures)),
         }
-        cuboid = [*track.centre_m, *track.xyzw, *track.lwh_m]
+        turn = _rounded(track.xyzw, _DECIMALS_OF_TURNS)
+        cuboid = [*_rounded(track.centre_m), *turn, *_rounded(track.lwh_m)]
         if np.isfinite(cuboid).all():
             attributes = {
                 "vec": _named(
@@ -223,17 +224,20 @@ def _tracks(result: FrameResult, columns: Mapping[str, ResultColumn]) -> Iterato
         yield str(track.track_id), track.class_name, data
 
 
-def _shape(name: str, val: npt.ArrayLike, attributes: Mapping[str, Any]) -> dict[str, Any]:
+def _shape(name: str, val: list[float], attributes: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "name": name,
         "coordinate_system": CAMERA_FRAME,
-        "val": _rounded(val),
+        "val": val,
         "attributes": attributes,
     }
 
 
 def _pose(step: Transform) -> dict[str, Any]:
-    return {"quaternion": _rounded(step.xyzw, 9), "translation": _rounded(step.at_m)}
+    return {
+        "quaternion": _rounded(step.xyzw, _DECIMALS_OF_TURNS),
+        "translation": _rounded(step.at_m),
+    }
 
 
 def _rounded(values: npt.ArrayLike, decimals: int = _DECIMALS) -> list[float]:
