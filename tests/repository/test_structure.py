@@ -263,7 +263,7 @@ MOST_STATEMENTS = {
     # pixel formats of cameras as one table, also for bags (60), and times in nanoseconds (45)
     # values of more bits than a pixel format has (4)
     # depth of RealSense, OAK and ZED in bags: encodings, units, alignment, times (203)
-    # speeds of ASAM MDF and of frames of a CAN bus, by signal and database (217)
+    # speeds of ASAM MDF and of frames of a CAN bus, by signal and database (208)
     "recording": 8_639,
     # rows are a type, and columns declare how they are read and written (90); columns of packages with
     # the names of others are refused (15)

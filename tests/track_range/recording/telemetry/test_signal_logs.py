@@ -158,7 +158,7 @@ def test_j1939_needs_no_database(tmp_path, dbc):
         log_of(tmp_path / "two.blf", frames(raw, identifier=0x18FEF121, extended=True), silent)
     )
     np.testing.assert_allclose(both.speed_mps, track.speed_mps)
-    with pytest.raises(TelemetryError, match="give the DBC of the bus with --dbc"):
+    with pytest.raises(TelemetryError, match="give its DBC with --dbc"):
         read(log_of(tmp_path / "car.blf", frames()))
     with pytest.raises(TelemetryError, match="give the database of this bus"):
         read(path, SignalChoice(database=dbc))

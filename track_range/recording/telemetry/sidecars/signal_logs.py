@@ -80,17 +80,15 @@ def read_mdf(path: Path, choice: SignalChoice = ANY_SIGNAL) -> TelemetryTrack:
         signals = list(_signals(mdf))
         start = mdf.header.start_time
         clock: Clock = "local" if start.tzinfo is None else "utc"
-        has_frames = "CAN_DataFrame" in mdf.channels_db
-        has_speed = bool(choice.name or _speeds(signals))
-        if has_frames and (choice.database is not None or not has_speed):
+        is_meant = choice.database is not None or not (choice.name or _speeds(signals))
+        if is_meant and "CAN_DataFrame" in mdf.channels_db:
             return read_frames(path, choice, clock)
         signal, unit = _chosen(path, signals, choice)
         group, index = signal.key
         raw = mdf.get(group=group, index=index, raw=True)
         bits = mdf.groups[group].channels[index].bit_count
-        has_mark = raw.samples.dtype.kind == "u"
-        values = _numbers(raw.physical().samples)
-        if has_mark:  # all bits are set where a signal is not available
+        values = np.array([_number(value) for value in raw.physical().samples.tolist()])
+        if raw.samples.dtype.kind == "u":  # all bits are set where a signal is not available
             values[raw.samples == 2**bits - 1] = np.nan
         time_s = raw.timestamps + start.replace(tzinfo=start.tzinfo or UTC).timestamp()
     return _track(path, signal, unit, clock, time_s, values)
@@ -117,9 +115,8 @@ def read_frames(
         if getattr(frames, "timestamps_format", None) == "relative":
             raise TelemetryError(f"{path}: expected absolute timestamps, found relative ones.")
         if not streams:
-            advice = "give the DBC of the bus with --dbc"
-            if choice.database is not None:
-                advice = "give the database of this bus"
+            is_given = choice.database is not None
+            advice = "give the database of this bus" if is_given else "give its DBC with --dbc"
             raise TelemetryError(
                 f"{path}: expected frames with {named.place}, found none; {advice}."
             )
@@ -274,9 +271,9 @@ def _one_stream(
     valid.sort(key=lambda stream: int(np.isfinite(stream[1]).sum()), reverse=True)
     time_s, values = valid[0]
     is_known = np.isfinite(values)
-    for other_s, others in ((t[np.isfinite(v)], v[np.isfinite(v)]) for t, v in valid[1:]):
-        if not len(others):
-            continue
+    for other_s, others in (
+        (t[known], v[known]) for t, v in valid[1:] if (known := np.isfinite(v)).any()
+    ):
         expected = np.interp(other_s, time_s[is_known], values[is_known])
         if np.median(np.abs(expected - others)) > 0.1 * np.median(np.abs(others)) + 1.0:
             raise TelemetryError(
@@ -296,13 +293,6 @@ def _valid(signal: Any, values: FloatArray) -> FloatArray:
     if low is not None and high is not None and low < high:
         is_wrong |= (values < low - 1e-6) | (values > high + 1e-6)
     return np.where(is_wrong, np.nan, values)
-
-
-def _numbers(samples: Any) -> FloatArray:
-    """(N,) numbers; texts, which stand for no value, are NaN."""
-    if samples.dtype.kind in "OSU":
-        return np.array([_number(value) for value in samples.tolist()])
-    return np.asarray(samples, np.float64)
 
 
 def _number(value: Any) -> float:
