@@ -75,6 +75,7 @@ _POSE = " ".join(12 * ["{:.7g}"])
 _ROUNDNESS = 10.0  # exponent of the superellipsoid in a cuboid that is taken as the body
 _NEAREST_M = 0.3  # depth from which points of a cuboid are projected
 _MIN_HEIGHT_PX = 25.0
+_MAX_CUBOIDS = 20_000  # that are projected at once
 _OCCLUDED = (0.2, 0.5, 0.9)
 _N_RAYS = 8  # in each direction, through a box
 _STEPS = np.linspace(-1.0, 1.0, 7)
@@ -228,6 +229,9 @@ def _outline(
     camera: PinholeCamera, pose: FloatArray, lwh_m: FloatArray, points: FloatArray
 ) -> FloatArray:
     """(N, 4) boxes around the points (P, 3) of N objects that are in front of the camera."""
+    if len(pose) > _MAX_CUBOIDS:  # not all at once, since P is 218
+        parts = np.array_split(np.arange(len(pose)), len(pose) // _MAX_CUBOIDS + 1)
+        return np.concatenate([_outline(camera, pose[k], lwh_m[k], points) for k in parts])
     placed_m = (points * lwh_m[:, None] / 2) @ pose[:, :3, :3].transpose(0, 2, 1) + pose[
         :, None, :3, 3
     ]
@@ -250,7 +254,8 @@ def _hidden_fractions(camera: PinholeCamera, labels: Mapping[str, FloatArray]) -
     hidden = np.zeros(len(frame))
     steps = (np.arange(_N_RAYS) + 0.5) / _N_RAYS
     grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    for rows in np.split(np.arange(len(frame)), np.flatnonzero(np.diff(frame)) + 1):
+    by_frame = np.split(np.arange(len(frame)), np.flatnonzero(np.diff(frame)) + 1)
+    for rows in filter(len, by_frame):
         n, low, high = len(rows), boxes_px[rows, None, :2], boxes_px[rows, None, 2:]
         rays = np.repeat(camera.rays((low + grid * (high - low)).reshape(-1, 2)), n, axis=0)
         depth_m = _surface_m(rays, labels, np.tile(rows, n * len(grid))).reshape(n, len(grid), n)

@@ -1,5 +1,5 @@
 """KITTI-360: the root folder, with data_3d_bboxes, data_poses and calibration, and, if it is there,
-data_2d_raw. Frames are those that have a pose.
+data_2d_raw. Frames are those that have a pose; cuboids are those of road users within 100 m.
 """
 
 from collections.abc import Iterator
@@ -16,6 +16,8 @@ from track_range.stereo.geometry.camera import PinholeCamera
 
 _STEP_S = 0.1037  # mean interval of its frames
 _EXPECTED = "cuboids of KITTI-360"
+_KINDS = ("car", "truck", "bus", "trailer", "caravan", "person", "rider", "bicycle", "motorcycle")
+_FAR_M = 100.0
 
 
 def read(folder: Path, camera_name: str) -> Iterator[LabelledDrive]:
@@ -30,8 +32,8 @@ def read(folder: Path, camera_name: str) -> Iterator[LabelledDrive]:
         poses = _numbers(
             read_text(place, DatasetError, "poses", max_bytes=MAX_TABLE_BYTES), 17, place
         )
-        number = poses[:, 0]
-        cuboids = [one for node in _nodes(file) for one in _cuboids(node, number, file)]
+        number, pose = poses[:, 0], poses[:, 1:].reshape(-1, 4, 4)
+        cuboids = [one for node in _nodes(file) for one in _cuboids(node, number, pose, file)]
         frame, track, kind, cuboid, lwh_m = map(list, zip(*cuboids, strict=True))
         images = folder / "data_2d_raw" / file.stem / camera_name / "data_rect"
         named = [images / f"{int(n):010d}.png" for n in number]
@@ -39,7 +41,7 @@ def read(folder: Path, camera_name: str) -> Iterator[LabelledDrive]:
             name=file.stem,
             camera=PinholeCamera(P[0][0], P[1][1], P[0][2], P[1][2], int(width_px), int(height_px)),
             time_s=number * _STEP_S,
-            pose=poses[:, 1:].reshape(-1, 4, 4),
+            pose=pose,
             images=named if all(image.is_file() for image in named) else (),
             track=np.array(track),
             kind=kind,
@@ -63,18 +65,19 @@ def _numbers(text: str, n_columns: int, path: Path) -> FloatArray:
 
 
 def _nodes(path: Path) -> list[ElementTree.Element]:
-    """The elements of cuboids in a file."""
+    """The elements of cuboids of road users in a file."""
     with open_regular(path, DatasetError, _EXPECTED) as file:
         parse_xml(file, path, None, DatasetError, _EXPECTED)
     root = ElementTree.parse(path).getroot()  # noqa: S314  # without entities, as checked above
-    return [node for node in root if node.find("transform") is not None]
+    return [node for node in root if node.findtext("label") in _KINDS]
 
 
 def _cuboids(
-    node: ElementTree.Element, number: FloatArray, path: Path
+    node: ElementTree.Element, number: FloatArray, camera: FloatArray, path: Path
 ) -> Iterator[tuple[int, str, str, FloatArray, FloatArray]]:
     """Frame, identity, class, pose (4, 4) and size (3,) of a cuboid: a moving one in its frame, a
-    static one in all frames of its part of the drive; `number` (F,) are those of the frames.
+    static one in all near frames of its part of the drive; `number` (F,) are those of the frames,
+    and `camera` (F, 4, 4) the poses.
     """
     transform = _numbers(node.findtext("transform/data", ""), 4, path)
     vertices = _numbers(node.findtext("vertices/data", ""), 3, path)
@@ -86,7 +89,8 @@ def _cuboids(
     keys = ("timestamp", "start_frame", "end_frame", "semanticId", "instanceId")
     time, first, last, *identity = (int(node.findtext(key, "-1")) for key in keys)
     is_shown = number == time if time >= 0 else (number >= first) & (number <= last)
-    for frame in np.flatnonzero(is_shown).tolist():
+    is_near = np.linalg.norm(camera[:, :3, 3] - pose[:3, 3], axis=1) < _FAR_M
+    for frame in np.flatnonzero(is_shown & is_near).tolist():
         yield (
             frame,
             str(identity),

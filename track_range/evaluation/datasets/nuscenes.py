@@ -3,6 +3,7 @@
 The labels are of key frames, 2 Hz; each scene is a drive.
 """
 
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 
 from track_range.evaluation.datasets.drive import DatasetError, LabelledDrive, poses_of
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.files.input_files import MAX_TABLE_BYTES
 from track_range.foundation.files.structured_text import read_json
 from track_range.stereo.geometry.camera import PinholeCamera
 
@@ -24,34 +26,38 @@ _Rows = dict[str, dict[str, Any]]
 def read(folder: Path, camera_name: str) -> Iterator[LabelledDrive]:
     """The drive of each scene; DatasetError if a table is missing or damaged."""
     place = next(iter(sorted(folder.glob("v1.0-*"))), folder)
-    files = {name: place / f"{name}.json" for name in _TABLES}
-    tables: dict[str, _Rows] = {
-        name: {row["token"]: row for row in read_json(file, DatasetError, "a table of nuScenes")}
-        for name, file in files.items()
-    }
-    for token, scene in tables["scene"].items():
-        shots = []
-        for shot in tables["sample_data"].values():
-            mount = tables["calibrated_sensor"][shot["calibrated_sensor_token"]]
-            is_camera = tables["sensor"][mount["sensor_token"]]["channel"] == camera_name
-            sample = tables["sample"][shot["sample_token"]]
-            if shot["is_key_frame"] and is_camera and sample["scene_token"] == token:
-                shots.append(
-                    shot | {"mount": mount, "ego": tables["ego_pose"][shot["ego_pose_token"]]}
-                )
-        if shots:
-            shots.sort(key=lambda shot: int(shot["timestamp"]))
-            yield _drive(folder, str(scene["name"]), shots, tables)
+    tables: dict[str, _Rows] = {}
+    for name in _TABLES:
+        listed = read_json(
+            place / f"{name}.json", DatasetError, "a table of nuScenes", max_bytes=MAX_TABLE_BYTES
+        )
+        tables[name] = {row["token"]: row for row in listed}
+    by_scene = defaultdict[str, list[dict[str, Any]]](list)
+    for shot in tables["sample_data"].values():
+        mount = tables["calibrated_sensor"][shot["calibrated_sensor_token"]]
+        is_camera = tables["sensor"][mount["sensor_token"]]["channel"] == camera_name
+        if shot["is_key_frame"] and is_camera:
+            ego = tables["ego_pose"][shot["ego_pose_token"]]
+            scene = tables["sample"][shot["sample_token"]]["scene_token"]
+            by_scene[scene].append(shot | {"mount": mount, "ego": ego})
+    labels = defaultdict[str, list[dict[str, Any]]](list)
+    for row in tables["sample_annotation"].values():
+        labels[row["sample_token"]].append(row)
+    for scene, shots in by_scene.items():
+        shots.sort(key=lambda shot: int(shot["timestamp"]))
+        of_shots = [labels[shot["sample_token"]] for shot in shots]
+        yield _drive(folder, str(tables["scene"][scene]["name"]), shots, of_shots, tables)
 
 
 def _drive(
-    folder: Path, name: str, shots: list[dict[str, Any]], tables: dict[str, _Rows]
+    folder: Path,
+    name: str,
+    shots: list[dict[str, Any]],
+    of_shots: list[list[dict[str, Any]]],
+    tables: dict[str, _Rows],
 ) -> LabelledDrive:
-    """The drive of the images of one scene."""
-    frame_of = {shot["sample_token"]: frame for frame, shot in enumerate(shots)}
-    labels = [
-        row for row in tables["sample_annotation"].values() if row["sample_token"] in frame_of
-    ]
+    """The drive of the images of one scene, and the labels of each."""
+    labels = [row for rows in of_shots for row in rows]
     objects = [tables["instance"][row["instance_token"]] for row in labels]
     samples = [tables["sample"][row["sample_token"]] for row in labels]
     K = shots[0]["mount"]["camera_intrinsic"]
@@ -65,7 +71,7 @@ def _drive(
         images=images if all(image.is_file() for image in images) else (),
         track=np.array([row["instance_token"] for row in labels]),
         kind=[tables["category"][one["category_token"]]["name"] for one in objects],
-        frame=np.array([frame_of[row["sample_token"]] for row in labels], np.int64),
+        frame=np.repeat(np.arange(len(shots)), [len(rows) for rows in of_shots]),
         cuboid_s=np.array([sample["timestamp"] for sample in samples]) / 1e6,
         cuboid=_poses(labels),
         lwh_m=np.array([row["size"] for row in labels], np.float64).reshape(-1, 3)[:, [1, 0, 2]],
