@@ -74,6 +74,10 @@ WORKLOADS = {
         "accuracy.cameras.horizon",
         "ranging from box bottoms with and without a known camera height",
     ),
+    "identities": (
+        "accuracy.tracking.identities",
+        "what a run with images loses of IDF1: detection, false boxes, or identities",
+    ),
     "lanes": ("accuracy.detection.lanes", "lane detectors: time, accuracy, agreement"),
     "latency": (
         "speed.latency",

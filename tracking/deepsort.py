@@ -120,6 +120,12 @@ class DeepSortSettings:
     prediction: PredictionGates = field(default_factory=PredictionGates)
 
 
+# Road users look alike, parked cars most of all: appearance decides only near the prediction, where
+# 59 % of the right boxes are (4 degrees of freedom), and overlap beyond. docs/concepts/accuracy.md
+# has the effect.
+ROAD = DeepSortSettings(appearance=AppearanceSettings(gating_threshold=4.0))
+
+
 class DeepSortTracker:
     """Tracks the objects of one stream of frames; ids count from 1, and the output is
     deterministic.
@@ -493,6 +499,14 @@ class DeepSortTracker:
             np.ones(len(rows), np.bool_),
             *table.class_doubt(rows),
         )
+
+
+def road(options: TrackerOptions) -> DeepSortTracker:
+    """`--tracker road`: deepsort with the settings of `ROAD`."""
+    settings = replace(ROAD, is_smoothed=options.is_smoothed)
+    return DeepSortTracker(
+        settings, appearance_model=options.reid or ColourLayout(), flow=options.flow
+    )
 
 
 def deepsort(options: TrackerOptions) -> DeepSortTracker:

@@ -110,6 +110,7 @@ class RegisteredTracker:
 TRACKERS: Registry[RegisteredTracker] = Registry(
     "track_range.trackers",
     {
+        "road": RegisteredTracker("track_range.tracking.deepsort:road", uses_reid=True),
         "deepsort": RegisteredTracker("track_range.tracking.deepsort:deepsort", uses_reid=True),
         "sort": RegisteredTracker("track_range.tracking.deepsort:sort"),
     },

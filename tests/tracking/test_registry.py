@@ -30,16 +30,16 @@ def _restored():
         yield
 
 
-@pytest.mark.parametrize("name", ["deepsort", "sort"])
+@pytest.mark.parametrize("name", ["road", "deepsort", "sort"])
 def test_built_in_trackers(name):
     assert name in TRACKERS.names
     tracker = create_tracker(name)
     assert tracker.update(BOX, 0.0, None).track_id.tolist() == [1]
     assert isinstance(tracker, RefinableTracker)
-    assert find_tracker(name).uses_reid == (name == "deepsort")
+    assert find_tracker(name).uses_reid == (name != "sort")
 
 
-def test_reid_is_handed_to_deepsort():
+def test_reid_is_handed_to_trackers_with_appearance():
     class Counting:
         max_cosine_distance, notes, n_calls = 0.1, (), 0
 
@@ -47,7 +47,7 @@ def test_reid_is_handed_to_deepsort():
             self.n_calls += 1
             return np.tile(np.eye(4, dtype=np.float32)[:1], (len(xyxy_px), 1))
 
-    for name, n_calls in (("deepsort", 1), ("sort", 0)):
+    for name, n_calls in (("road", 1), ("deepsort", 1), ("sort", 0)):
         reid = Counting()
         create_tracker(name, TrackerOptions(reid=reid)).update(
             BOX, 0.0, np.zeros((60, 60, 3), np.uint8)
@@ -87,7 +87,7 @@ def test_entry_point(install):
 @pytest.mark.parametrize(
     ("name", "key_word"),
     [
-        ("bytetrack", "deepsort, sort"),
+        ("bytetrack", "road, deepsort, sort"),
         ("no_such_module:Tracker", "no_such_module"),
         ("tests.toys.toy_tracker:Missing", "Missing"),
         ("tests.toys.toy_tracker:", "tests.toys.toy_tracker"),

@@ -170,7 +170,7 @@ class Tracker:
 
     def __init__(
         self,
-        name: str = "deepsort",
+        name: str = "road",
         *,
         reid: str | Path | None = None,
         threads: int = 0,
@@ -179,8 +179,8 @@ class Tracker:
         """Create a tracker without tracks.
 
         Args:
-            name: "deepsort" (motion and appearance), "sort" (motion only), a registered tracker or
-                `module:Class`.
+            name: "road" (appearance near the prediction, then overlap), "deepsort" (appearance in a
+                wide gate first), "sort" (no appearance), a registered tracker or `module:Class`.
             reid: an ONNX re-identification network for appearance; None = the built-in descriptor.
             threads: CPU threads of that network; 0 = one per core.
             device: device that runs that network.

@@ -258,13 +258,13 @@ def last_ids_by_position(path):
 
 def test_embeddings_next_to_the_boxes(tmp_path, cli, with_embeddings):
     ids = {}
-    for tracker in ("deepsort", "sort"):
+    for tracker in ("road", "deepsort", "sort"):
         status, printed, _ = cli(
             "track", tmp_path / "S", "--tracker", tracker, "--out", tmp_path / tracker
         )
         assert status == 0, printed
         ids[tracker] = last_ids_by_position(tmp_path / tracker / "mot/S.txt")
-    assert ids == {"deepsort": [2, 1], "sort": [1, 2]}
+    assert ids == {"road": [2, 1], "deepsort": [2, 1], "sort": [1, 2]}
 
 
 @pytest.mark.parametrize(

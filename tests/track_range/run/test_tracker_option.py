@@ -40,7 +40,7 @@ def mono_run(tmp_path, film, cli):
 
 @pytest.mark.parametrize(
     ("name", "ids"),
-    [("deepsort", {1}), ("sort", {1}), ("tests.toys.toy_tracker:GreedyIouTracker", {101})],
+    [("road", {1}), ("sort", {1}), ("tests.toys.toy_tracker:GreedyIouTracker", {101})],
 )
 def test_ids_are_the_trackers(mono_run, name, ids):
     assert mono_run("--tracker", name)[:2] == (0, ids)

@@ -102,7 +102,7 @@ class TrackSettings(Options):
         float | None,
         option("Frame rate (default: from seqinfo.ini, else 10).", metavar="FPS", ge=0.01, le=1000),
     ] = None
-    tracker: TrackerField = "deepsort"
+    tracker: TrackerField = "road"
     reid: ReidField = None
     tracker_min_score: TrackerScoreField = None
     online: Annotated[

@@ -97,8 +97,9 @@ DeviceField = Annotated[
 TrackerField = Annotated[
     str,
     option(
-        "Tracker: deepsort (motion and appearance), sort (motion only), or a class of an installed "
-        "package or (only on the command line) of a module in the current folder.",
+        "Tracker: road (appearance near the prediction, then overlap), deepsort (appearance in a wide "
+        "gate first), sort (without appearance), or a class of an installed package or (only on the "
+        "command line) of a module in the current folder.",
         metavar="NAME|MODULE:CLASS",
         is_shared=True,
     ),
@@ -156,8 +157,7 @@ def check_tracker(name: str, reid: Path | None) -> None:
         raise UsageError(f"--tracker: {error}") from error
     if reid is not None and not tracker.uses_reid:
         raise UsageError(
-            f"--reid: --tracker {name} does not compare appearance; omit --reid or use --tracker "
-            "deepsort."
+            f"--reid: --tracker {name} does not compare appearance; omit --reid or use --tracker road."
         )
 
 
@@ -275,7 +275,7 @@ class TrackingOptions(Options):
     panel: ClassVar = "Tracking"
     stage: ClassVar = "tracks"
 
-    tracker: TrackerField = "deepsort"
+    tracker: TrackerField = "road"
     reid: ReidField = None
     tracker_min_score: TrackerScoreField = None
 

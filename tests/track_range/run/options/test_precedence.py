@@ -162,7 +162,7 @@ def test_reid_needs_a_tracker_that_compares_appearance() -> None:
         settings_from({"mono": Path("a.mp4"), "reid": Path("r.onnx"), "tracker": "sort"})
     with pytest.raises(UsageError, match=r"--tracker: .*kalman"):
         settings_from({"mono": Path("a.mp4"), "tracker": "kalman"})
-    assert settings_from({"mono": Path("a.mp4"), "reid": Path("r.onnx")}).tracker == "deepsort"
+    assert settings_from({"mono": Path("a.mp4"), "reid": Path("r.onnx")}).tracker == "road"
 
 
 def test_sgbm_options_and_alignment_in_the_file(tmp_path, monkeypatch):
