@@ -54,11 +54,13 @@ class CuboidView:
         distortion = np.array(lens_values or [0.0] * 5, np.float64)
         return cls(name, matrix, distortion, (lens["width_px"], lens["height_px"]), systems)
 
-    def seen(self, cuboids: Sequence[Mapping[str, Any]], steps: Steps) -> SeenCuboid | None:
-        """The first cuboid that has a size and a place relative to the camera; None = none."""
-        for cuboid in cuboids:
-            values = np.array(cuboid.get("val") or [0.0] * 9, np.float64)
-            camera_from = self._camera_from(cuboid.get("coordinate_system") or self.name, steps)
+    def seen(self, cuboids: Sequence[tuple[str, Any]], steps: Steps) -> SeenCuboid | None:
+        """The first of the cuboids, each with its coordinate system and its `val`, that has a size
+        and a place relative to the camera; None = none.
+        """
+        for system, val in cuboids:
+            values = np.array(val or [0.0] * 9, np.float64)
+            camera_from = self._camera_from(system, steps)
             if camera_from is not None and (values[-3:] > 0).all():
                 turn = (
                     ("quaternion", values[3:7])

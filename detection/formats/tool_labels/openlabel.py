@@ -112,7 +112,7 @@ def _camera(
     """The camera whose boxes are read, "" = boxes name none, and whether there are 2-D boxes."""
     in_frames = (_part(frame, "objects").values() for frame in frames.values())
     items = chain(_part(root, "objects").values(), *in_frames)
-    cameras = {_camera_of(box) for item in items for box in _listed(item, "bbox", "rbbox")}
+    cameras = {_system_of(box) for item in items for box in _listed(item, "bbox", "rbbox")}
     names = sorted(cameras - {""})
     names = names or [name for name in _part(root, "streams") if _view(root, name)]
     named = [name for name in names if path.stem.endswith(name) or name == video.name]
@@ -163,7 +163,9 @@ def _boxes(
     # files of this program state what was measured; its cuboids are filtered
     view = None if PIXELS in root["metadata"] else _view(root, camera)
     for frame, uid, items in _objects(root, frames):
-        cuboids = [cuboid for item in items for cuboid in _listed(item, "cuboid")]
+        given = str(items[0].get("coordinate_system") or "")
+        listed = (cuboid for item in items for cuboid in _listed(item, "cuboid"))
+        cuboids = [(_system_of(cuboid) or given, cuboid["val"]) for cuboid in listed]
         transforms = _part(frames[frame], "frame_properties", "transforms")
         seen = view.seen(cuboids, steps_of(transforms)) if view and cuboids else None
         kind = re.split("[#/]", str(items[0]["type"]))[-1]
@@ -198,7 +200,7 @@ def _boxes_of(
     """The 2-D boxes of an object in one frame."""
     values = _values(*items)
     for box in (box for item in items for box in _listed(item, "bbox", "rbbox")):
-        if _camera_of(box) in ("", camera):
+        if _system_of(box) in ("", camera):
             own = {**values, **_values(box, inside="attributes")}
             yield _box(common._replace(edges=_edges(box)), own, seen)
 
@@ -246,9 +248,10 @@ def _values(*items: Object, inside: str = "object_data") -> dict[str, object]:
     return {str(entry.get("name")).lower(): entry["val"] for entry in listed}
 
 
-def _camera_of(box: Object) -> str:
-    stream = box.get("stream") or _values(box, inside="attributes").get("stream")
-    return str(box.get("coordinate_system") or stream or "")
+def _system_of(shape: Object) -> str:
+    """The coordinate system of a shape, which has the name of its sensor; "" = none is given."""
+    stream = shape.get("stream") or _values(shape, inside="attributes").get("stream")
+    return str(shape.get("coordinate_system") or stream or "")
 
 
 def _view(root: Object, camera: str) -> CuboidView | None:

@@ -152,6 +152,18 @@ def test_camera_with_axes_of_a_vehicle(tmp_path: Path) -> None:
     assert read(tmp_path, root | {"coordinate_systems": systems}).distance_m == pytest.approx(20.0)
 
 
+def test_system_of_a_cuboid(tmp_path: Path) -> None:
+    """It may be that of the stream, as of Kognic and VisionAI, or of the object, else unknown."""
+    item = cuboid([0, -23, -0.5, 0, 0, 0, 2, 4, 1.5], "LIDAR")
+    item["stream"] = item.pop("coordinate_system")
+    root = with_cuboid(item, has_boxes=True)
+    assert read(tmp_path, root).distance_m == pytest.approx(20.0)
+    del item["stream"]
+    assert np.isnan(read(tmp_path, root).distance_m).all()
+    root["objects"][CAR]["coordinate_system"] = "LIDAR"
+    assert read(tmp_path, root).distance_m == pytest.approx(20.0)
+
+
 def test_hidden_cuboids_and_cuboids_that_are_elsewhere_give_no_distance(tmp_path: Path) -> None:
     root = with_cuboid(cuboid([23.0, 0, 1.5, 0, 0, 0, 4, 2, 1.5]), has_boxes=True)
     data = root["frames"]["0"]["objects"][CAR]["object_data"]
