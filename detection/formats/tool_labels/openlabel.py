@@ -163,9 +163,7 @@ def _boxes(
     # files of this program state what was measured; its cuboids are filtered
     view = None if PIXELS in root["metadata"] else _view(root, camera)
     for frame, uid, items in _objects(root, frames):
-        given = str(items[0].get("coordinate_system") or "")
-        listed = (cuboid for item in items for cuboid in _listed(item, "cuboid"))
-        cuboids = [(_system_of(cuboid) or given, cuboid["val"]) for cuboid in listed]
+        cuboids = _cuboids_of(items)
         transforms = _part(frames[frame], "frame_properties", "transforms")
         seen = view.seen(cuboids, steps_of(transforms)) if view and cuboids else None
         kind = re.split("[#/]", str(items[0]["type"]))[-1]
@@ -192,6 +190,13 @@ def _objects(
         shown = (uid for uid, item in static.items() if _is_in(item, frame))
         for uid in dict.fromkeys(chain(dynamic, shown)):
             yield frame, uid, (objects[uid], dynamic.get(uid, {}))
+
+
+def _cuboids_of(items: Sequence[Object]) -> list[tuple[str, object]]:
+    """The cuboids of an object in one frame, each with its coordinate system and its `val`."""
+    given = str(items[0].get("coordinate_system") or "")
+    listed = (cuboid for item in items for cuboid in _listed(item, "cuboid"))
+    return [(_system_of(cuboid) or given, cuboid["val"]) for cuboid in listed]
 
 
 def _boxes_of(
