@@ -143,6 +143,7 @@ MOST_STATEMENTS = {
     # delta 1 of published evaluations and the places of labelled boxes (5)
     # corners of cuboids (10)
     # the width of the lane for summary.json, unless the lines are no lane (5)
+    # corners of cuboids, and the mean cuboid of a track (18)
     # the width of the lane for summary.json (3)
     # sizes and headings of cuboids by their boxes and course (220)
     "ranging": 10_667,  # turns as evidence of a given focal length (65), the height by the posterior (17)
@@ -286,7 +287,7 @@ MOST_STATEMENTS = {
     # signals in object slots, of the lead and of the ego vehicle as MDF4 (122)
     # the cuboids of rows (3)
     # cuboids with their directions in scenes and scenarios, and messages of Autoware (50)
-    # roads of OpenDRIVE, their reference line, lanes and uncertainty (130)
+    # roads of OpenDRIVE, their reference line, lanes and uncertainty (185)
     # SensorData (115), ego vehicle and GroundTruth (44), and MCAP (45) of ASAM OSI
     # results as ASAM OpenLABEL, with measured cuboids, poses and events (132)
     "results": 4_117,
@@ -340,7 +341,7 @@ MOST_STATEMENTS = {
     # a warned contact without a supported time, and distances of unknown scale (8)
     # marks of methods that are not fused (8)
     # tables of cuboids and of delta 1 (16)
-    # cuboids on the overlay, and footprints in the bird's-eye view (45)
+    # cuboids on the overlay, footprints in the bird's-eye view and on the map of the drive (60)
     "views": 3_029,
     "track_range": 108,  # a module of errors and one of evaluations, each with its names for type checkers (18)
 }

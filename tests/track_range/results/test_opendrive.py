@@ -36,10 +36,10 @@ def path(s_m):
     return np.stack([x_m, radius_m * (1 - np.cos(turned)), turned], axis=1)
 
 
-def users(*, left_m, heading_rad=0.0, mps=10.0, class_id=CAR, track_id=3, parked=0.0):
-    """Rows of a road user beside the path, 30 m ahead of the ego vehicle in each frame."""
+def users(*, left_m, heading_rad=0.0, mps=10.0, class_id=CAR, track_id=3, parked=0.0, ahead_m=30.0):
+    """Rows of a road user beside the path, ahead of the ego vehicle in each frame."""
     times_s = np.arange(0.0, 6.0, 0.1)
-    at = path(10.0 * times_s + 30.0)
+    at = path(10.0 * times_s + ahead_m)
     rows = np.zeros((len(times_s), N_VALUES))
     rows[:, 0] = times_s
     rows[:, 1] = at[:, 0] - left_m * np.sin(at[:, 2])
@@ -151,6 +151,8 @@ def test_valid_along_the_path_without_gaps(tmp_path, schema):
         ([users(left_m=3.2, heading_rad=math.pi / 2)], (0.5, [0, -1])),
         ([users(left_m=3.2)[:4]], (0.5, [0, -1])),
         ([users(left_m=20.0)], (0.5, [0, -1])),
+        # beyond the part that was driven, where the road bends away
+        ([users(left_m=-3.5, ahead_m=130.0)], (0.5, [0, -1])),
     ],
 )
 def test_lanes_are_where_vehicles_drive(tmp_path, schema, rows, expected):
@@ -165,6 +167,11 @@ def test_standing_and_reversing(tmp_path, schema):
     standing = replace(drive(times_s=times_s), ego=np.tile([0.0, 4.0, 5.0, 0.5], (50, 1)))
     root = written(tmp_path, standing, schema)
     (line,) = root.iter("geometry")
+    passing = users(left_m=0.0)
+    turn = np.array([[math.cos(0.5), math.sin(0.5)], [-math.sin(0.5), math.cos(0.5)]])
+    passing[:, 1:3] = [4.0, 5.0] + np.column_stack([passing[:, 0] * 10, np.full(60, 3.3)]) @ turn
+    passing[:, 3] = 0.5
+    assert lanes(written(tmp_path, replace(standing, rows=passing))) == (1.5, [0, -1, -2])
     assert (float(line.get("hdg")), float(line.get("length"))) == (0.5, 160.0)
     there = np.concatenate([np.arange(0.0, 9.0, 0.1), np.arange(9.0, 4.0, -0.1)])
     root = written(tmp_path, drive(times_s=there), schema)

@@ -1,5 +1,7 @@
 """Map of the drive: paths and parked road users from rows and poses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -41,6 +43,22 @@ def test_paths_of_camera_and_tracks():
 def test_parked_road_users_are_at_the_median_of_their_positions():
     (track,) = drive_map(rows(9, state="parked"), poses())["tracks"]
     assert track["at"] == [24.0, -2.0]
+
+
+def test_footprints_of_parked_road_users():
+    """At the middle of the cuboid, with its axis and size; the camera turned by 10 degrees."""
+    given = rows(9, state="parked").columns
+    number = np.arange(9.0)
+    sizes = {"length": 4.0 + (number == 8), "width": np.full(9, 1.8), "height": np.full(9, 1.5)}
+    sigmas = {f"{side}_sigma_m": np.where(number == 8, 0.1, 1.0) for side in sizes}
+    places = {"centre_world_x_m": given["world_x_m"] + 2.0, "centre_world_y_m": np.full(9, -2.0)}
+    yaw = {"yaw_deg": np.where(number % 3 == 0, -155.0, 25.0)}
+    lengths = {f"{side}_m": values for side, values in sizes.items()}
+    turned = replace(poses(), heading_deg=np.full(30, 10.0))
+    (track,) = drive_map(Rows({**given, **lengths, **sigmas, **places, **yaw}), turned)["tracks"]
+    assert (track["at"], track["heading"], track["size"]) == ([26.0, -2.0], 35, [4.9, 1.8, 1.5])
+    (track,) = drive_map(rows(9, state="parked"), poses())["tracks"]
+    assert "size" not in track
 
 
 def test_short_tracks_and_uncertain_positions_are_left_out():

@@ -33,7 +33,9 @@ _MOST_LANES = 2
 _NEAR_M = 40.0  # distance up to which the lane of a vehicle is sure
 _MIN_ROWS = 5  # frames of a track in a lane that shows the lane
 _MIN_MPS = 2.0  # speed of a vehicle that drives
-_MIN_ALONG = 0.9  # cosine between its heading and the road's
+# cosine between its heading and the road's, in the driven part and beyond it, where the road may bend
+_MIN_ALONG, _MIN_ALONG_BEYOND = 0.9, 0.996
+_BEYOND_M = np.arange(1.0, 31.0)[:, None]  # of the driven part, along the straight lines
 _IS_VEHICLE = np.isin(ROAD_CLASSES, ["car", "motorcycle", "bus", "truck"])
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)  # of the length of a curve
 
@@ -205,13 +207,19 @@ def _neighbours(drive: Trajectories, samples: FloatArray) -> dict[int, bool]:
     """
     rows = drive.rows[_IS_VEHICLE[drive.rows[:, 7].astype(int)]]
     x_m, y_m = (np.interp(rows[:, 0], drive.ego[:, 0], drive.ego[:, axis]) for axis in (1, 2))
+    first, last = samples[0], samples[-1]
+    before = first - _BEYOND_M[::-1] * [math.cos(first[2]), math.sin(first[2]), 0.0]
+    after = last + _BEYOND_M * [math.cos(last[2]), math.sin(last[2]), 0.0]
+    samples = np.concatenate([before, samples, after])
     _, at = cKDTree(samples[:, :2]).query(rows[:, 1:3])
     heading_rad = samples[at, 2]
     dx_m, dy_m = (rows[:, 1:3] - samples[at, :2]).T
     left_m = np.cos(heading_rad) * dy_m - np.sin(heading_rad) * dx_m
     lane = np.rint(left_m / drive.lane.width_m)
     along = np.cos(rows[:, 3] - heading_rad)
-    drives = (rows[:, 5] == 0) & (rows[:, 10] >= _MIN_MPS) & (np.abs(along) >= _MIN_ALONG)
+    is_beyond = (at < len(before)) | (at >= len(samples) - len(after))
+    drives = np.abs(along) >= np.where(is_beyond, _MIN_ALONG_BEYOND, _MIN_ALONG)
+    drives &= (rows[:, 5] == 0) & (rows[:, 10] >= _MIN_MPS)
     drives &= (at > 0) & (at < len(samples) - 1) & (np.abs(lane) <= _MOST_LANES)
     drives &= np.hypot(rows[:, 1] - x_m, rows[:, 2] - y_m) <= _NEAR_M
     lanes = {0: True}

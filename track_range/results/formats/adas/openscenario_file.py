@@ -10,7 +10,7 @@ first seen, and deleted when they were last seen. Times are seconds from the fir
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.methods.lane_width import LaneWidth, usual_width
 from track_range.ranging.warning.settings import WarningSettings
+from track_range.ranging.world.cuboid_corners import mean_axis_rad, mean_size_m
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import MOTION_STATES
 from track_range.results.formats.adas.opendrive_file import ROAD_FILE, write_road
@@ -32,7 +33,6 @@ from track_range.results.formats.run_info import RunInfo
 
 SCENARIO_FILE = "run.xosc"
 EGO = "ego"
-_LEAST_M = 0.01  # standard deviation of a size that is given
 # categories; objects of other classes are not written
 _CATEGORIES: Mapping[str, str] = {
     "person": "pedestrian",
@@ -169,7 +169,7 @@ def _scenario(
     drive: Trajectories, variation: Variation, description: str, road: str
 ) -> ElementTree.Element:
     start_s = drive.start_s
-    ego_m = (WarningSettings().ego_length_m, WarningSettings().ego_width_m, 1.5)
+    ego_m = [WarningSettings().ego_length_m, WarningSettings().ego_width_m, 1.5]
     path, rows = drive.ego - [start_s, 0, 0, 0], drive.rows - [start_s, *[0] * (N_VALUES - 1)]
     centre_x_m = WarningSettings().front_m - ego_m[0] / 2
     objects = [(EGO, "car", ego_m, centre_x_m, path)] if len(path) else []
@@ -177,7 +177,8 @@ def _scenario(
         track = rows[rows[:, 6] == track_id]
         name = object_name(track[:, 7], track_id)
         category = _CATEGORIES[name.rpartition("-")[0]]
-        objects.append((name, category, _size_m(track), 0.0, _placed(track)))
+        size_m = mean_size_m(track[:, 12:15], track[:, 15:])
+        objects.append((name, category, size_m, 0.0, _placed(track)))
     init = [_private(name, table[0], variation) for name, *_, table in objects if table[0, 0] <= 0]
     groups = [_maneuvers(name, table, variation) for name, *_, table in objects]
     story = (
@@ -221,15 +222,6 @@ def _rows(result: FrameResult, pose: EgoPose) -> FloatArray:
     return np.asarray(rows[is_known & _IS_WRITTEN[tracks.class_id]])
 
 
-def _size_m(rows: FloatArray) -> tuple[float, float, float]:
-    """Length, width and height of a track, by all its rows: sure ones count more."""
-    weights = 1 / np.maximum(np.nan_to_num(rows[:, 15:], nan=np.inf), _LEAST_M) ** 2
-    known = weights.sum(axis=0) > 0
-    weights = np.where(known, weights, 1.0)
-    length_m, width_m, height_m = np.average(rows[:, 12:15], axis=0, weights=weights).tolist()
-    return length_m, width_m, height_m
-
-
 def _placed(rows: FloatArray) -> FloatArray:
     """(N, 4) time, x, y and heading of a track; a heading whose front is not known is the nearer one
     to the last known, before it to the first.
@@ -237,11 +229,8 @@ def _placed(rows: FloatArray) -> FloatArray:
     time_s, x_m, y_m, heading_rad, front_known, is_parked = rows[:, :6].T
     if is_parked.mean() > 0.5:
         x_m, y_m = np.full_like(x_m, np.median(x_m)), np.full_like(y_m, np.median(y_m))
-        axis_rad = np.angle(np.exp(2j * heading_rad).sum()) / 2
-        is_turned = np.mean(np.cos(heading_rad - axis_rad) < 0) > 0.5
-        return np.stack(
-            [time_s, x_m, y_m, np.full_like(x_m, axis_rad + math.pi * is_turned)], axis=1
-        )
+        heading_rad = np.full_like(x_m, mean_axis_rad(heading_rad))
+        return np.stack([time_s, x_m, y_m, heading_rad], axis=1)
     known = np.flatnonzero(front_known)
     reference_rad = heading_rad[:1]
     if len(known):
@@ -252,7 +241,7 @@ def _placed(rows: FloatArray) -> FloatArray:
 
 
 def _entity(
-    name: str, category: str, size_m: tuple[float, float, float], centre_x_m: float
+    name: str, category: str, size_m: Sequence[float], centre_x_m: float
 ) -> ElementTree.Element:
     length, width, height = size_m
     box = node(

@@ -4,11 +4,13 @@ seen from above.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
 from track_range.pipeline.colours import track_colour
+from track_range.ranging.world.cuboid_corners import mean_axis_rad, mean_size_m
 from track_range.results.formats.poses_file import Poses
 from track_range.results.rows.rows import Rows, most_frequent
 from track_range.views.report.content.series import (
@@ -29,13 +31,20 @@ def drive_map(rows: Rows, poses: Poses | None) -> dict[str, Any] | None:
     """Paths for the page, None without a path of the camera.
 
     Keys: `ego` and `tracks`, with packed `t`, `x`, `y` each, tracks also with `id`, `name`,
-    `colour`, and `at` (x, y in m), the median position, if most of their rows are parked.
+    `colour`, `size` (length, width and height in m) where it is known, and `at` (x, y in m), the
+    median position, and `heading` in degrees if most of their rows are parked.
     """
     if poses is None or len(poses.frame) < 2:
         return None
     shown = thinned(len(poses.frame), LINE_POINTS)
     x_m, y_m, is_parked = rows["world_x_m"], rows["world_y_m"], rows["state"] == "parked"
     distance_m, sigma_m = rows.distance("fused_kf")
+    lwh_m, lwh_sigma_m = (
+        np.stack([rows[f"{side}{part}_m"] for side in ("length", "width", "height")], axis=1)
+        for part in ("", "_sigma")
+    )
+    ego_deg = np.interp(rows["frame"], poses.frame, poses.heading_deg)
+    heading_rad = np.radians(rows["yaw_deg"] + ego_deg)
     is_placed = np.isfinite(x_m) & ~(sigma_m > _MAX_SIGMA * distance_m)
     tracks = []
     for own in sorted(rows.by_track(), key=len, reverse=True)[:_MAX_TRACKS]:
@@ -48,8 +57,16 @@ def drive_map(rows: Rows, poses: Poses | None) -> dict[str, Any] | None:
             "name": most_frequent(rows["class"][own]),
             "colour": "#{2:02x}{1:02x}{0:02x}".format(*track_colour(track_id)),
         }
+        sized = own[np.isfinite(lwh_m[own]).all(axis=1) & np.isfinite(heading_rad[own])]
+        if len(sized):
+            size_m = mean_size_m(lwh_m[sized], lwh_sigma_m[sized])
+            track["size"] = [round(side_m, 1) for side_m in size_m]
+            track["heading"] = round(math.degrees(mean_axis_rad(heading_rad[sized])))
         if np.mean(is_parked[own]) > 0.5:
-            track["at"] = [round(float(np.median(values[own])), 2) for values in (x_m, y_m)]
+            places = (
+                (rows["centre_world_x_m"], rows["centre_world_y_m"]) if len(sized) else (x_m, y_m)
+            )
+            track["at"] = [round(float(np.nanmedian(values[own])), 2) for values in places]
         drawn = own[thinned(len(own), _TRACK_POINTS)]
         tracks.append({**track, **_path(rows["time_s"][drawn], x_m[drawn], y_m[drawn])})
     return {

@@ -39,13 +39,19 @@ function drawMap(box) {
   const { plot, toX, toY } = axes(box, {
     x: { low: left, high: right, label: "x, m (forward at the start)" }, y: { low, high, label: "y, m (to the left)" },
   });
+  // Of a parked road user, to scale, but at least 6 pixels long and 3 wide.
+  const footprint = (at, size, heading) => {
+    const [length, width] = size ? [Math.max(6, size[0] / m_per_px), Math.max(3, size[1] / m_per_px)] : [6, 6];
+    const [x, y] = [toX(at[0]), toY(at[1])];
+    return { x: x - length / 2, y: y - width / 2, width: length, height: width, transform: `rotate(${-(heading || 0)} ${x} ${y})` };
+  };
   const line = ({ x, y }) => linePath([...x].map(toX), [...y].map(toY));
-  for (const { id, name, colour, path, at } of drive.tracks) {
+  for (const { id, name, colour, path, at, size, heading } of drive.tracks) {
     const mark = at
-      ? shape("rect", { x: toX(at[0]) - 3, y: toY(at[1]) - 3, width: 6, height: 6, fill: colour, "fill-opacity": 0.6, stroke: colour })
+      ? shape("rect", { ...footprint(at, size, heading), fill: colour, "fill-opacity": 0.6, stroke: colour })
       : shape("path", { d: line(path), fill: "none", stroke: colour, "stroke-width": 1.5 });
     mark.dataset.track = id;
-    mark.append(shape("title", {}, `${name} ${id}${at ? ", parked" : ""}`));
+    mark.append(shape("title", {}, `${name} ${id}${at ? ", parked" : ""}${size ? `, ${size.join(" × ")} m` : ""}`));
     plot.append(mark);
   }
   plot.append(shape("path", { class: "map-ego", d: line(drive.ego) }));
