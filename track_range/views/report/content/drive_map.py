@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from track_range.foundation.arrays import IntArray
 from track_range.pipeline.colours import track_colour
 from track_range.ranging.world.cuboid_corners import mean_axis_rad, mean_size_m
 from track_range.results.formats.poses_file import Poses
@@ -39,12 +40,7 @@ def drive_map(rows: Rows, poses: Poses | None) -> dict[str, Any] | None:
     shown = thinned(len(poses.frame), LINE_POINTS)
     x_m, y_m, is_parked = rows["world_x_m"], rows["world_y_m"], rows["state"] == "parked"
     distance_m, sigma_m = rows.distance("fused_kf")
-    lwh_m, lwh_sigma_m = (
-        np.stack([rows[f"{side}{part}_m"] for side in ("length", "width", "height")], axis=1)
-        for part in ("", "_sigma")
-    )
-    ego_deg = np.interp(rows["frame"], poses.frame, poses.heading_deg)
-    heading_rad = np.radians(rows["yaw_deg"] + ego_deg)
+    boxes = _Boxes(rows, poses)
     is_placed = np.isfinite(x_m) & ~(sigma_m > _MAX_SIGMA * distance_m)
     tracks = []
     for own in sorted(rows.by_track(), key=len, reverse=True)[:_MAX_TRACKS]:
@@ -57,15 +53,9 @@ def drive_map(rows: Rows, poses: Poses | None) -> dict[str, Any] | None:
             "name": most_frequent(rows["class"][own]),
             "colour": "#{2:02x}{1:02x}{0:02x}".format(*track_colour(track_id)),
         }
-        sized = own[np.isfinite(lwh_m[own]).all(axis=1) & np.isfinite(heading_rad[own])]
-        if len(sized):
-            size_m = mean_size_m(lwh_m[sized], lwh_sigma_m[sized])
-            track["size"] = [round(side_m, 1) for side_m in size_m]
-            track["heading"] = round(math.degrees(mean_axis_rad(heading_rad[sized])))
+        track |= boxes.shape(own)
         if np.mean(is_parked[own]) > 0.5:
-            places = (
-                (rows["centre_world_x_m"], rows["centre_world_y_m"]) if len(sized) else (x_m, y_m)
-            )
+            places = boxes.places if "size" in track else (x_m, y_m)
             track["at"] = [round(float(np.nanmedian(values[own])), 2) for values in places]
         drawn = own[thinned(len(own), _TRACK_POINTS)]
         tracks.append({**track, **_path(rows["time_s"][drawn], x_m[drawn], y_m[drawn])})
@@ -73,6 +63,27 @@ def drive_map(rows: Rows, poses: Poses | None) -> dict[str, Any] | None:
         "ego": _path(*(values[shown] for values in (poses.time_s, poses.x_m, poses.y_m))),
         "tracks": tracks,
     }
+
+
+class _Boxes:
+    """Cuboids of the rows, with their directions in the frame `map`."""
+
+    def __init__(self, rows: Rows, poses: Poses) -> None:
+        sides = ("length", "width", "height")
+        self._lwh_m = np.stack([rows[f"{side}_m"] for side in sides], axis=1)
+        self._sigma_m = np.stack([rows[f"{side}_sigma_m"] for side in sides], axis=1)
+        ego_deg = np.interp(rows["frame"], poses.frame, poses.heading_deg)
+        self._yaw_rad = np.radians(rows["yaw_deg"] + ego_deg)
+        self.places = rows["centre_world_x_m"], rows["centre_world_y_m"]
+
+    def shape(self, own: IntArray) -> dict[str, Any]:
+        """`size` and `heading` of the track with these rows; empty if they are unknown."""
+        known = own[np.isfinite(self._lwh_m[own]).all(axis=1) & np.isfinite(self._yaw_rad[own])]
+        if not len(known):
+            return {}
+        size_m = mean_size_m(self._lwh_m[known], self._sigma_m[known])
+        heading_deg = math.degrees(mean_axis_rad(self._yaw_rad[known]))
+        return {"size": [round(side_m, 1) for side_m in size_m], "heading": round(heading_deg)}
 
 
 def _path(time_s: Any, x_m: Any, y_m: Any) -> dict[str, str]:
