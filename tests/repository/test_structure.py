@@ -28,7 +28,7 @@ MOST_STATEMENTS = {
     # what a state of a pipeline has of networks and the far pass (7)
     # sessions of networks with any inputs (6)
     # the files of the weights of a model (1)
-    # labels of ASAM OpenLABEL, with the cuboids that a camera sees (240)
+    # labels of ASAM OpenLABEL, with the cuboids that a camera sees (248)
     "detection": 8_760,
     # riders whose name changes (17)
     # a similarity by sums, given up early (21); the second class of a track in doubt (23)
