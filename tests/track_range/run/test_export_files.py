@@ -435,3 +435,16 @@ def test_scenario_with_its_road(run: Path, tmp_path: Path, cli: Cli) -> None:
     options = ("--to", "openscenario", "--per-event", "--out", scenarios)
     assert cli("export", run, *options)[0] == 0
     assert (scenarios / "run.xodr").read_text() == alone
+
+
+def test_scenario_of_an_earlier_run(run: Path, tmp_path: Path, cli: Cli) -> None:
+    """Rows without cuboids have no road users in a scenario, which a note says."""
+    poses = "frame,time_s,x_m,y_m,heading_deg,x_sigma_m,y_sigma_m,heading_sigma_deg\n"
+    (run / "poses.csv").write_text(poses + "0,0.0,0.0,0.0,0.0,0.0,0.0,0.1\n")
+    header, *rows = (run / "tracks.csv").read_text().splitlines()
+    kept = [i for i, name in enumerate(header.split(",")) if not name.startswith("centre_")]
+    lines = [",".join(line.split(",")[i] for i in kept) for line in (header, *rows)]
+    (run / "tracks.csv").write_text("\n".join(lines) + "\n")
+    status, printed, _ = cli("export", run, "--to", "openscenario", "--out", tmp_path / "a.xosc")
+    assert (status, "no cuboids" in printed) == (0, True)
+    assert 'name="ego"' in (tmp_path / "a.xosc").read_text()

@@ -201,7 +201,7 @@ class BirdsEye:
         )
         border = warning_colour(result, row) or BLACK
         is_observed = bool(result.tracks.observed[row])
-        if np.ptp(shape, axis=0).max() > 2 * radius:
+        if np.ptp(shape, axis=0).max() > 3 * radius:
             cv2.polylines(inset, [shape], True, border, radius, cv2.LINE_AA)
             cv2.fillConvexPoly(inset, shape, colour if is_observed else BLACK, cv2.LINE_AA)
             cv2.polylines(inset, [shape], True, colour, 1, cv2.LINE_AA)
