@@ -19,7 +19,7 @@ from track_range.tracking.motion import BoxFilters, MotionNoise, cxcywh
 
 Classes = Literal["similar", "same", "any"]  # similar: confused by detectors
 # (classes, classes) whether detectors confuse two classes
-_IS_CONFUSED = (SAME_OBJECT_GROUP[:, None] == SAME_OBJECT_GROUP).astype(np.float64)
+_IS_CONFUSED = np.asarray(SAME_OBJECT_GROUP[:, None] == SAME_OBJECT_GROUP)
 # groups of a person and of the two-wheelers
 _RIDER_GROUPS = SAME_OBJECT_GROUP[[ROAD_CLASSES.index("person"), ROAD_CLASSES.index("bicycle")]]
 _MAY_BE_RIDER = np.isin(SAME_OBJECT_GROUP, _RIDER_GROUPS)  # by class
@@ -139,7 +139,10 @@ def widened(xyxy_px: FloatArray, margin: float) -> FloatArray:
 
 
 def are_compatible(
-    class_votes: FloatArray, detected_class_id: IntArray, classes: Classes = "similar"
+    track_class_id: IntArray,
+    class_votes: FloatArray,
+    detected_class_id: IntArray,
+    classes: Classes = "similar",
 ) -> BoolArray:
     """(N, M) whether a detection has a class that a track had before, or one that detectors confuse
     with it; `class_votes` (N, classes) is above 0 for the classes of a track's boxes.
@@ -148,9 +151,14 @@ def are_compatible(
     """
     if classes == "any":
         return np.ones((len(class_votes), len(detected_class_id)), np.bool_)
-    if classes == "similar":
-        class_votes = class_votes @ _IS_CONFUSED
-    return np.asarray((class_votes > 0).take(detected_class_id, axis=1))
+    continues = _IS_CONFUSED if classes == "similar" else np.eye(len(_IS_CONFUSED), dtype=np.bool_)
+    # by row, which is fastest; then the few tracks of several classes
+    allowed = continues.take(detected_class_id, axis=1).take(track_class_id, axis=0)
+    if np.count_nonzero(class_votes) > len(class_votes):
+        several = (np.count_nonzero(class_votes, axis=1) > 1).nonzero()[0]
+        is_known = class_votes[several] @ continues > 0
+        allowed[several] = is_known.take(detected_class_id, axis=1)
+    return allowed
 
 
 def may_be_riders(track_class_id: IntArray, detected_class_id: IntArray) -> BoolArray:

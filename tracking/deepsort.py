@@ -339,7 +339,9 @@ class DeepSortTracker:
         if not len(table) or not len(detections):
             return assignment
         confirmed, boxes_px = table.is_confirmed, table.filters.xyxy_px
-        allowed = are_compatible(table.class_votes, detections.class_id, settings.classes)
+        allowed = are_compatible(
+            table.class_id, table.class_votes, detections.class_id, settings.classes
+        )
         overlap_cost = iou_cost(boxes_px, detections.xyxy_px)
         overlap_cost[~allowed] = np.inf
 

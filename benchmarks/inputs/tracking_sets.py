@@ -8,7 +8,7 @@ by its seed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -69,18 +69,24 @@ class Sequence:
 
         def thinned(rows: Any) -> Any:
             kept = np.flatnonzero(rows.frame % step == 0)
-            columns = {f.name: getattr(rows, f.name) for f in fields(rows) if f.name != "frame"}
-            taken = {k: v[kept] if isinstance(v, np.ndarray) else v for k, v in columns.items()}
-            if isinstance(rows, RecordedDetections):
-                taken["detections"] = rows.detections.select(kept)
-            return replace(rows, frame=rows.frame[kept] // step, **taken)
+            return _taken(rows, kept, rows.frame[kept] // step)
 
-        truth, detected = (
-            None if self.truth is None else thinned(self.truth),
-            thinned(self.detected),
-        )
         n_frames = -(-self.n_frames // step)
-        return replace(self, detected=detected, truth=truth, n_frames=n_frames, fps=self.fps / step)
+        return replace(self._of_rows(thinned), n_frames=n_frames, fps=self.fps / step)
+
+    def backwards(self) -> Sequence:
+        """The sequence from its last frame to its first one."""
+
+        def turned(rows: Any) -> Any:
+            frame = self.n_frames - 1 - rows.frame
+            order = np.argsort(frame, kind="stable")
+            return _taken(rows, order, frame[order])
+
+        return self._of_rows(turned)
+
+    def _of_rows(self, changed: Callable[[Any], Any]) -> Sequence:
+        truth = None if self.truth is None else changed(self.truth)
+        return replace(self, detected=changed(self.detected), truth=truth)
 
     def boxes(self, frame: IntArray, track_id: IntArray, xyxy_px: FloatArray) -> TrackedBoxes:
         """N track boxes of the class."""
@@ -114,6 +120,15 @@ class Sequence:
         if self.truth is None:
             raise ValueError(f"{self.name}: expected a sequence with ground truth, got a scene")
         return TrackingCounts.of(*mot_cleaned(self.truth, boxes))
+
+
+def _taken(rows: Any, kept: IntArray, frame: IntArray) -> Any:
+    """Rows of boxes or labels by number, with new frames."""
+    columns = {f.name: getattr(rows, f.name) for f in fields(rows) if f.name != "frame"}
+    taken = {k: v[kept] if isinstance(v, np.ndarray) else v for k, v in columns.items()}
+    if isinstance(rows, RecordedDetections):
+        taken["detections"] = rows.detections.select(kept)
+    return replace(rows, frame=frame, **taken)
 
 
 def sequences_of(set_name: str, data: Path) -> list[Sequence]:

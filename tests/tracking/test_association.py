@@ -48,9 +48,9 @@ def test_widened_by_hand() -> None:
 def test_compatible_classes(a: str, b: str, is_compatible: bool) -> None:
     i, j = ROAD_CLASSES.index(a), ROAD_CLASSES.index(b)
     votes = np.eye(len(ROAD_CLASSES))[[i]]
-    assert are_compatible(votes, np.array([j]))[0, 0] == is_compatible
-    assert are_compatible(votes, np.array([j]), "same")[0, 0] == (i == j)
-    assert are_compatible(votes, np.array([j]), "any")[0, 0]
+    assert are_compatible(np.array([i]), votes, np.array([j]))[0, 0] == is_compatible
+    assert are_compatible(np.array([i]), votes, np.array([j]), "same")[0, 0] == (i == j)
+    assert are_compatible(np.array([i]), votes, np.array([j]), "any")[0, 0]
 
 
 def test_a_track_of_two_names_continues_with_either() -> None:
@@ -58,7 +58,10 @@ def test_a_track_of_two_names_continues_with_either() -> None:
     votes[0, [0, 1]] = 5.0, 0.3  # a rider: person, and once bicycle
     votes[1, 0] = 5.0
     classes = np.array([ROAD_CLASSES.index(name) for name in ("bicycle", "motorcycle", "car")])
-    assert are_compatible(votes, classes).tolist() == [[True, True, False], [False] * 3]
+    assert are_compatible(np.array([0, 0]), votes, classes).tolist() == [
+        [True, True, False],
+        [False] * 3,
+    ]
 
 
 def test_total_cost_is_minimised() -> None:

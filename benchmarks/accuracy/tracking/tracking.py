@@ -77,6 +77,7 @@ Scores = dict[str, float]
     option("--data", default=REAL_DATA, help="folder with kitti_labels and mot"),
     option("--sets", default=SETS, nargs="*", choices=SETS, help="data sets; none = no accuracy"),
     option("--every", default=1, help="use every K-th frame only, as of a time lapse"),
+    option("--backwards", default=False, help="from the last frame to the first one"),
     option("--rounds", default=3, help="rounds for the time; 0 = no speed"),
     option("--peers", default=False, help="also run the trackers of other packages"),
     option(
@@ -88,20 +89,25 @@ Scores = dict[str, float]
 def tracking(options: Namespace) -> Figures:
     os.environ.update(ONE_THREAD)  # for the processes that are started below
     pythons = create_environments(options.environments) if options.peers else {}
-    accuracy, versions = _accuracy(options.sets, options.data, options.every, pythons)
+    accuracy, versions = _accuracy(options, pythons)
     margins = {name: _margins(rows) for name, rows in accuracy.items()} if pythons else {}
     speed = _speed(pythons, options.rounds)
     return {"accuracy": accuracy, "ahead": margins, "us_per_frame": speed, "versions": versions}
 
 
 def _accuracy(
-    set_names: Sequence[str], data: Path, every: int, pythons: Mapping[str, Path]
+    options: Namespace, pythons: Mapping[str, Path]
 ) -> tuple[dict[str, dict[str, Figures]], dict[str, str]]:
     by_set = {
-        name: [sequence.every(every) for sequence in sequences_of(name, data)] for name in set_names
+        name: [sequence.every(options.every) for sequence in sequences_of(name, options.data)]
+        for name in options.sets
     }
+    if options.backwards:
+        by_set = {name: [part.backwards() for part in of_set] for name, of_set in by_set.items()}
     for name in (name for name, of_set in by_set.items() if not of_set):
-        print(f"{data}: expected the data set {name}, found none; it is skipped.", flush=True)
+        print(
+            f"{options.data}: expected the data set {name}, found none; it is skipped.", flush=True
+        )
     sequences = [sequence for of_set in by_set.values() for sequence in of_set]
     counts: dict[tuple[str, str], list[Future[TrackingCounts]]] = {}
     versions = {}
