@@ -13,20 +13,21 @@ distance scale alike, is compared with the measured one, also in w_k:
 
 Two visible sides and the change of the width while the view changes so measure yaw, width and length.
 A side that is cut or hidden only shows that the object is at least as wide as its box. s has the
-variance of the distance and of shapes that are no cuboids; it is one error of all frames with the
-same view, and decays with the change of bearing and distance:
+variance of the distance, of shapes that are no cuboids, and of the yaw within a step of the grid;
+it is one error of all frames with the same view, and decays with the change of bearing and distance:
 
     s' = a s,    a = exp(-|change of bearing| / b - |change of log d| / c)
 
 The height is that of the box at the distance, whose information beyond that of the mean size of the
-class, 1 / sigma_d^2 - 1 / sigma_h^2, is not from the height itself.
+class, 1 / sigma_d^2 - 1 / sigma_h^2, is not from the height itself. It counts once per view, too.
 
 The velocity over ground v, of covariance V, points along the yaw, unless the object is at rest:
 
     L(yaw) = r + (1 - r) 2 Phi(m / sigma_m) N(v; 0, V + f^2 a a') / N(v; 0, V)       a: the direction of the yaw
 
 where m is the speed along a, and f that of free traffic. So there is no threshold of speed, and the
-heading stays when an object stops. The yaw of moving objects is a random walk.
+heading stays when an object stops. The yaw of moving objects is a random walk, in which the moments
+of x are mixed between neighbours (IMM; Blom and Bar-Shalom, IEEE TAC 1988).
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ _LOG_STEP = 0.02  # of the derivatives by log sizes
 _SIZES, _S = slice(0, 3), 3  # rows of the state: log height, width, length; s
 
 # b in rad and c, over which shape and distance have other errors; on KITTI
-_VIEW_RAD, _VIEW_LOG_M = 0.3, 0.5
+_VIEW_RAD, _VIEW_LOG_M = 0.3, 1.0
 _SHAPE_SIGMA = (
     0.05  # of the width of boxes by shapes that are no cuboids, between cameras and labels
 )
@@ -81,12 +82,14 @@ _SIZE_FLOOR = 0.03  # smallest relative sigma of a size, by the definition of it
 _MAX_SIZE_SIGMA = 2.5  # largest difference of a log size from the mean of the class
 _MAX_NU = 2.0  # in sigma, of a width that counts in full
 _MAX_CHI2 = 16.0  # largest squared innovation in sigma that counts against a direction
-# over which errors of the edges, of the distance as one of the height, and of the course are the same
-_EDGES_S, _HEIGHT_S, _COURSE_S = 0.3, 3.0, 0.5
+# over which errors of the edges, and of the course, are the same
+_EDGES_S, _COURSE_S = 1.0, 0.4
 _FIRST_COURSE = 0.3  # weight of the course of a new track
+_LEAST = 1e-6  # smallest new part of an error, against a division by zero
 _LEAST_S = 1e-3  # shortest time between two frames
 # random walk of the yaw of moving objects, per square root of a second; a turn on a junction
-_TURN_RAD = math.radians(8.0)
+_TURN_RAD = math.radians(10.0)
+_FAST_MPS = 8.0  # speed above which turns are limited by the acceleration to the side
 _LOST = 1e-3  # probability per second that the yaw is any other
 _REST = 0.5  # r
 _FREE_MPS = np.where(np.array(ROAD_CLASSES) == "person", 1.5, 8.0)  # (classes,) f
@@ -95,9 +98,10 @@ _SLIP_MPS, _SLIP = 0.2, 0.03
 _BACKWARDS = 0.02  # probability that a moving object goes backwards
 _ANY_FRONT = 0.1  # difference of the probability of a front from 1/2 that tells nothing
 _KNOWN_FRONT = 0.95  # probability from which front and back are told apart
-_YAW_FLOOR_RAD = math.radians(1.5)  # of the axes of cameras and labels
+_YAW_FLOOR_RAD = math.radians(2.0)  # of the axes of cameras and labels
 # people and riders do not fill their boxes, and move their limbs
 _IS_RIGID = np.isin(ROAD_CLASSES, ("car", "truck", "bus"))
+_ONE_SIDE = np.where(_IS_RIGID, 0.02, 0.1)  # of the middle of a box, relative to the width
 _USUAL_HEIGHT_M = 1.5  # of a camera above the road
 _MAX_GAP_S = 10.0  # after which a track that comes back is a new one
 
@@ -139,6 +143,12 @@ class _Seen(NamedTuple):
     def dt(self) -> FloatArray:
         """(N,) time since the last frame, at least a short one; NaN = new track."""
         return np.maximum(self.view.time_s - self.before.time_s, _LEAST_S)
+
+    @property
+    def same(self) -> FloatArray:
+        """(N,) a: how much of the errors of the view is that of the last frame; NaN = new track."""
+        change = np.abs(self.view.bearing_rad - self.before.bearing_rad) / _VIEW_RAD
+        return np.exp(-change - np.abs(self.view.log_m - self.before.log_m) / _VIEW_LOG_M)
 
     def repeats(self, lasts_s: float) -> FloatArray:
         """(N,) number of frames that have the same error, which lasts for this time."""
@@ -265,9 +275,7 @@ class CuboidEstimator:
         cells = _turned(cells, seen)
         table = cells.table
         own = self._own_variance(seen)
-        change = np.abs(seen.view.bearing_rad - seen.before.bearing_rad) / _VIEW_RAD
-        change += np.abs(seen.view.log_m - seen.before.log_m) / _VIEW_LOG_M
-        a = np.exp(-change)
+        a = seen.same
         table[_S] *= a
         table[:, _S] *= a
         table[_S, _S] += (1 - a * a) * own
@@ -280,21 +288,28 @@ class CuboidEstimator:
         return _Cells(weight, table)
 
     def _own_variance(self, seen: _Seen) -> FloatArray:
-        """(N,) variance of s."""
+        """(K, N) variance of s."""
         shape = self._sizes.scatter[seen.class_id, 1] ** 2 + _SHAPE_SIGMA**2
-        return np.asarray(seen.log_sigma**2 + seen.boxes.systematic_sigma[:, 0] ** 2 + shape)
+        own = seen.log_sigma**2 + seen.boxes.systematic_sigma[:, 0] ** 2 + shape
+        # The yaw of a direction is within half a step, which changes the width of long objects.
+        _, width_m, length_m = np.exp(self._sizes.log_hwl[seen.class_id]).T
+        view_rad = seen.yaw_rad + seen.view.bearing_rad
+        end_m, side_m = width_m * np.cos(view_rad), length_m * np.sin(view_rad)
+        turned_m = np.abs(length_m * np.cos(view_rad)) - np.abs(width_m * np.sin(view_rad))
+        by_yaw = turned_m / (np.abs(end_m) + np.abs(side_m))
+        return np.asarray(own + by_yaw**2 * (_STEP_RAD**2 / 12))
 
     def _first(self, seen: _Seen, own: FloatArray) -> _Cells:
         """The filters of new tracks: directions and sizes of the class. A distance by size is too
         small by the error of the size, by which s follows the height.
         """
         covariance = self._sizes.covariance[seen.class_id].transpose(1, 2, 0)
-        table = np.zeros((4, 5, 1, len(own)))
-        table[:3, :3, 0] = covariance
+        table = np.zeros((4, 5, *own.shape))
+        table[:3, :3] = covariance[:, :, None]
         by_size = np.minimum(seen.log_sigma**2 / covariance[0, 0], 1.0)
         table[_S, :3] = table[:3, _S] = table[0, :3] * by_size
         table[_S, _S] = np.maximum(own, table[_S, 0] * by_size)
-        table[:3, 4, 0] = self._sizes.log_hwl[seen.class_id].T
+        table[:3, 4] = self._sizes.log_hwl[seen.class_id].T[:, None]
         angle_deg = np.degrees(seen.yaw_rad + seen.drive_rad)
         column = np.rint(angle_deg).astype(np.int64) % 180
         return _Cells(self._directions[seen.class_id, column] / 2, table)
@@ -336,7 +351,8 @@ class CuboidEstimator:
         # Height, with the information of the distance that is not from the size.
         class_variance = sizes.covariance[class_id, 0, 0]
         other = 1.0 / np.maximum(seen.log_sigma**-2 - 1.0 / class_variance, 1e-9)
-        other = (other + sizes.scatter[class_id, 0] ** 2) * seen.repeats(_HEIGHT_S)
+        other = other + sizes.scatter[class_id, 0] ** 2
+        other = other / np.fmin(1.0 - seen.same**2 + _LEAST, 1.0)  # all of it is new at first
         nu = log_height - sizes.offset[class_id, 0] - box.log_height[0] - cells.table[_S, 4]
         is_high = is_seen & ~np.logical_or(*seen.ends_cut)
         row = corrected.table[0].copy()
@@ -378,13 +394,28 @@ def _turned(cells: _Cells, seen: _Seen) -> _Cells:
     v = seen.velocity
     speed2 = v.along_mps**2 + v.right_mps**2
     moving = speed2 / (speed2 + v.along_variance + v.right_variance + 1.0)
+    moving /= 1.0 + speed2 / _FAST_MPS**2
     dt = np.fmax(seen.dt, 0.0)  # 0 of a new track
     p = np.fmax(np.minimum(moving * dt * (_TURN_RAD / _STEP_RAD) ** 2 / 2, 1 / 3), 0.0)
-    ring = cells.weight.reshape(2 * _N_YAWS, -1)  # the second half of the circle is the backs
-    ring = (1 - 2 * p) * ring + p * (np.roll(ring, 1, axis=0) + np.roll(ring, -1, axis=0))
     lost = _LOST * dt
-    ring = (1 - lost) * ring + lost / len(ring)
-    return cells._replace(weight=ring.reshape(cells.weight.shape))
+    weight = (1 - lost) * cells.weight + lost / (2 * _N_YAWS)
+    ring = weight.reshape(2 * _N_YAWS, -1)  # the second half of the circle is the backs
+    ring = (1 - 2 * p) * ring + p * (np.roll(ring, 1, axis=0) + np.roll(ring, -1, axis=0))
+    turned = cells._replace(weight=ring.reshape(weight.shape))
+    if not (p > 0).any():
+        return turned
+
+    # What is known of the sizes turns with the object: the moments of the mixtures.
+    g, total = weight.sum(axis=0), turned.weight.sum(axis=0)
+    x = cells.table[:, 4]
+    moments = cells.table.copy()
+    moments[:, :4] += x[:, None] * x
+    mixed = ((1 - 2 * p) * g / total) * moments
+    for shift in (1, -1):
+        mixed += (p * np.roll(g, shift, axis=0) / total) * np.roll(moments, shift, axis=2)
+    x = mixed[:, 4]
+    mixed[:, :4] -= x[:, None] * x
+    return turned._replace(table=mixed)
 
 
 def _by_course(cells: _Cells, seen: _Seen) -> _Cells:
@@ -433,7 +464,7 @@ def _estimated(cells: _Cells, seen: _Seen, box: CuboidBox) -> Cuboids:
     spread = (x - mean[:, None]) ** 2 + np.diagonal(P).transpose(2, 0, 1)
     log_sigma = np.sqrt((g * spread).sum(axis=1) + _SIZE_FLOOR**2)
     hwl_m = np.exp(mean)
-    centre_m, covariance_m2 = _centred(cells, seen, box, local, hwl_m[0], log_sigma[0])
+    centre_m, covariance_m2 = _centred(cells, seen, box, local, hwl_m, log_sigma)
     return Cuboids.of(
         lwh_m=hwl_m[::-1].T,
         lwh_sigma_m=(hwl_m * log_sigma)[::-1].T,
@@ -450,10 +481,12 @@ def _centred(
     seen: _Seen,
     box: CuboidBox,
     local: FloatArray,
-    height_m: FloatArray,
-    height_log_sigma: FloatArray,
+    hwl_m: FloatArray,
+    log_sigma: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Centres (N, 3) and their covariances (N, 3, 3) in the camera's axes."""
+    """Centres (N, 3) and their covariances (N, 3, 3) in the camera's axes; `hwl_m` and `log_sigma`
+    (3, N) are sizes.
+    """
     boxes, g = seen.boxes, cells.weight.sum(axis=0)
     xz = np.array(box.xz_m)
     J = (xz[:, 1:] - xz[:, :1]) / _LOG_STEP  # by log width and log length
@@ -470,7 +503,7 @@ def _centred(
     near_m = (local / box.inverse_depths[0][0]).sum(axis=0)
     sign = np.where(seen.ends_cut[1], -1.0, 1.0)
     end_m = (boxes.bottom - (sign < 0) * boxes.wh_over_f[:, 1]) * near_m
-    y_m = end_m - sign * height_m / 2
+    y_m = end_m - sign * hwl_m[0] / 2
     by_log_m = np.array([*(local * J_s).sum(axis=1), end_m]) * seen.log_sigma
     x_s, z_s, y_s = by_log_m
     covariance = np.zeros((len(y_m), 3, 3))
@@ -478,6 +511,7 @@ def _centred(
     of_distance = np.array([x_s, y_s, z_s]).T
     covariance += of_distance[:, :, None] * of_distance[:, None]
     edge_m = boxes.edge_sigma * np.exp(seen.view.log_m)[:, None]
-    covariance[:, 0, 0] += edge_m[:, 0] ** 2 / 2
-    covariance[:, 1, 1] += edge_m[:, 1] ** 2 + (height_m * height_log_sigma / 2) ** 2
+    # limbs and mirrors are at one side
+    covariance[:, 0, 0] += edge_m[:, 0] ** 2 / 2 + (_ONE_SIDE[seen.class_id] * hwl_m[1]) ** 2
+    covariance[:, 1, 1] += edge_m[:, 1] ** 2 + (hwl_m[0] * log_sigma[0] / 2) ** 2
     return np.column_stack([mean[0], y_m, mean[1]]), covariance

@@ -34,6 +34,7 @@ from track_range.ranging.fitting.prior_fit import fit_size_priors
 from track_range.ranging.size_models.class_sizes import ClassSizes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.regions import in_region
+from track_range.ranging.size_models.size_model import BoxTraits
 from track_range.ranging.truth.labelled_boxes import BoxSet
 from track_range.ranging.world.cuboids import Cuboids
 
@@ -101,8 +102,12 @@ def measured_cuboids(
     for rows, tracks, ego, fused, filtered in filtered_frames(truth, columns, is_ego_known):
         number = int(boxes.sequence[rows[0]])
         if number not in stages:
+            camera = boxes.camera_at(rows[0])
             stages[number] = WorldStage(
-                boxes.camera_at(rows[0]), mounting=truth.mounting(number), sizes=sizes[number]
+                camera,
+                mounting=truth.mounting(number),
+                sizes=sizes[number],
+                traits=BoxTraits.of(camera.width_px, box_sigma_px=options.box_sigma_px),
             )
         in_frame = {name: ranges_in_frame(column, tracks, rows) for name, column in columns.items()}
         ranges = reported(FrameRanges(in_frame), fused, filtered, doubt)
