@@ -290,6 +290,8 @@ class RunOutput:
         if settings.table is not None:
             steps.append(partial(output_files.write_text, settings.table, markdown(summary)))
         call_all(steps)
+        # a drive whose positions are not known has no road
+        self.files = tuple(file for file in self.files if file.exists())
 
     def _cut_clips(self, overlay: Path, clips: Path) -> None:
         """Write the clips of the events, which know them afterwards."""

@@ -151,3 +151,14 @@ def test_a_discarded_frame_is_not_written(tmp_path):
     root = root_of(tmp_path / "run.xosc")
     assert vertices(root, "ego")[:, 1].tolist() == [2.0, 3.0]
     assert len(vertices(root, "car-3")) == 2
+
+
+@pytest.mark.slow
+def test_a_run_names_the_files_that_it_has(tmp_path, run_on_noise):
+    """Without a known position there is no road."""
+    run = run_on_noise(tmp_path, overlay=False, write="csv,openscenario")
+    list(run)
+    names = {file.name for file in run.files}
+    assert "run.xosc" in names
+    assert "run.xodr" not in names
+    assert all(file.exists() for file in run.files)
