@@ -332,7 +332,7 @@ def test_a_person_does_not_become_a_car() -> None:
     assert [tracks.track_id.tolist() for tracks in out] == [[1], [], [2]]
 
 
-@pytest.mark.parametrize("name", ["deepsort", "sort"])
+@pytest.mark.parametrize("name", ["road", "deepsort", "sort"])
 @pytest.mark.parametrize("fps", [2, 10, 30])
 @pytest.mark.parametrize("image", [IMAGE, None])
 @pytest.mark.parametrize("other", [PERSON, BICYCLE, SIGN])
