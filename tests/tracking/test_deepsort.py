@@ -644,3 +644,19 @@ def test_activation_threshold_adapts_to_detector(
         n_new.append(len(tracker.tentative))
     assert least <= sum(n_new[5:]) <= most
     assert (tracker.track_activation_threshold(np.array([CAR]))[0] > 0.55) == (min_fraction > 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "jump_px", "continues"),
+    [
+        ("road", 50, True),  # the boxes hardly overlap, and the appearance is equal
+        ("sort", 50, False),
+        ("deepsort", 90, True),  # as far as another car of the same colour may be
+        ("road", 90, False),
+    ],
+)
+def test_appearance_decides_near_the_prediction(name: str, jump_px: int, continues: bool) -> None:
+    other = car_at(800)
+    frames = [both(car_at(100), other)] * 10 + [other] * 8
+    tracks = drive(create_tracker(name), frames + [both(car_at(100 + jump_px), other)] * 2)[-1]
+    assert tracks.track_id.tolist() == ([1, 2] if continues else [2, 3])
