@@ -30,7 +30,7 @@ from track_range.detection.detections import Detections
 from track_range.foundation.arrays import BoolArray, FloatArray, Image, IntArray
 from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.tracking import history, motion
-from track_range.tracking.appearance.embeddings import ColourLayout
+from track_range.tracking.appearance.embeddings import ColourLayout, ColourLayoutSettings
 from track_range.tracking.appearance.gallery import unit_rows
 from track_range.tracking.association import (
     Assignment,
@@ -124,6 +124,7 @@ class DeepSortSettings:
 # 59 % of the right boxes are (4 degrees of freedom), and overlap beyond. docs/concepts/accuracy.md
 # has the effect.
 ROAD = DeepSortSettings(appearance=AppearanceSettings(gating_threshold=4.0))
+ROAD_COLOURS = ColourLayoutSettings(max_cosine_distance=0.05)
 
 
 class DeepSortTracker:
@@ -504,11 +505,10 @@ class DeepSortTracker:
 
 
 def road(options: TrackerOptions) -> DeepSortTracker:
-    """`--tracker road`: deepsort with the settings of `ROAD`."""
+    """`--tracker road`: deepsort with the settings of `ROAD`, and stricter colours."""
     settings = replace(ROAD, is_smoothed=options.is_smoothed)
-    return DeepSortTracker(
-        settings, appearance_model=options.reid or ColourLayout(), flow=options.flow
-    )
+    model = options.reid or ColourLayout(ROAD_COLOURS)
+    return DeepSortTracker(settings, appearance_model=model, flow=options.flow)
 
 
 def deepsort(options: TrackerOptions) -> DeepSortTracker:
