@@ -38,7 +38,7 @@ MOST_STATEMENTS = {
     # the shift that boxes have in common, where there are no images (77)
     # a default tracker that trusts appearance near the prediction only (4)
     # the classes that a track had, all of which continue it (6)
-    "tracking": 1_743,  # frames that could not show small objects (4)
+    "tracking": 1_745,  # frames that could not show small objects (4)
     # packed assignments became a line for each value (50); the alignment below rigs (10); what a
     # pair shows and its consequence apart (10); guesses of focal lengths and the ego speed, which
     # recordings need (60); values of calibrations that know their file and key, and a module for
