@@ -106,6 +106,8 @@ _USUAL_HEIGHT_M = 1.5  # of a camera above the road
 _MAX_GAP_S = 10.0  # after which a track that comes back is a new one
 
 _INDEX = np.arange(_N_YAWS)[:, None]
+# of each direction of the whole circle, the ones before and after it
+_BEFORE, _AFTER = (np.arange(2 * _N_YAWS) + [[-1], [1]]) % (2 * _N_YAWS)
 _NEAR = np.abs((_INDEX - _INDEX.T + _N_YAWS // 2) % _N_YAWS - _N_YAWS // 2) <= 2
 _STEPS = _LOG_STEP * np.array([[0, 0, 0], [0, 1, 0], [0, 0, 1]])[:, :, None, None]
 
@@ -400,7 +402,7 @@ def _turned(cells: _Cells, seen: _Seen) -> _Cells:
     lost = _LOST * dt
     weight = (1 - lost) * cells.weight + lost / (2 * _N_YAWS)
     ring = weight.reshape(2 * _N_YAWS, -1)  # the second half of the circle is the backs
-    ring = (1 - 2 * p) * ring + p * (np.roll(ring, 1, axis=0) + np.roll(ring, -1, axis=0))
+    ring = (1 - 2 * p) * ring + p * (ring[_BEFORE] + ring[_AFTER])
     turned = cells._replace(weight=ring.reshape(weight.shape))
     if not (p > 0).any():
         return turned
@@ -411,8 +413,8 @@ def _turned(cells: _Cells, seen: _Seen) -> _Cells:
     moments = cells.table.copy()
     moments[:, :4] += x[:, None] * x
     mixed = ((1 - 2 * p) * g / total) * moments
-    for shift in (1, -1):
-        mixed += (p * np.roll(g, shift, axis=0) / total) * np.roll(moments, shift, axis=2)
+    for other in (_BEFORE[:_N_YAWS] % _N_YAWS, _AFTER[:_N_YAWS] % _N_YAWS):
+        mixed += (p * g[other] / total) * moments[:, :, other]
     x = mixed[:, 4]
     mixed[:, :4] -= x[:, None] * x
     return turned._replace(table=mixed)
