@@ -107,7 +107,8 @@ _MAX_GAP_S = 10.0  # after which a track that comes back is a new one
 
 _INDEX = np.arange(_N_YAWS)[:, None]
 # of each direction of the whole circle, the ones before and after it
-_BEFORE, _AFTER = (np.arange(2 * _N_YAWS) + [[-1], [1]]) % (2 * _N_YAWS)
+_AFTER = np.arange(1, 2 * _N_YAWS + 1) % (2 * _N_YAWS)
+_BEFORE = np.arange(-1, 2 * _N_YAWS - 1) % (2 * _N_YAWS)
 _NEAR = np.abs((_INDEX - _INDEX.T + _N_YAWS // 2) % _N_YAWS - _N_YAWS // 2) <= 2
 _STEPS = _LOG_STEP * np.array([[0, 0, 0], [0, 1, 0], [0, 0, 1]])[:, :, None, None]
 
