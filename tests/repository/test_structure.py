@@ -36,7 +36,7 @@ MOST_STATEMENTS = {
     # a threshold of the detections that a tracker gets (20)
     # stored states of trackers with a threshold (2)
     # the shift that boxes have in common, where there are no images (77)
-    # a default tracker that trusts appearance near the prediction only (4)
+    # a default tracker that trusts appearance near the prediction only (6)
     # the classes that a track had, all of which continue it (6)
     "tracking": 1_745,  # frames that could not show small objects (4)
     # packed assignments became a line for each value (50); the alignment below rigs (10); what a

@@ -27,12 +27,12 @@ from track_range.recording.telemetry.sidecars.reading import (
     sidecar_suffixes,
     signal_suffixes,
 )
-from track_range.recording.telemetry.sidecars.sidecar import ANY_SIGNAL, SignalChoice
 from track_range.recording.telemetry.sidecars.speed_csv import (
     has_positions,
     is_telemetry_header,
     log_table,
 )
+from track_range.recording.telemetry.signal_choice import ANY_SIGNAL, SignalChoice
 from track_range.recording.telemetry.speed_files import EgoSpeedError, open_ego_speed
 from track_range.recording.telemetry.time_offset import MotionSeries, TimeOffset, estimated_offset
 from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack

@@ -23,7 +23,13 @@ from track_range.simulation.camera.playback import HIDDEN
 from track_range.tracking.appearance.embeddings import ColourLayout
 from track_range.tracking.appearance.reid import ReidModel
 from track_range.tracking.camera_motion import CameraMotion
-from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, DeepSortTracker
+from track_range.tracking.deepsort import (
+    ROAD,
+    ROAD_COLOURS,
+    AppearanceSettings,
+    DeepSortSettings,
+    DeepSortTracker,
+)
 from track_range.tracking.evaluation.scores import evaluate_tracks
 from track_range.tracking.evaluation.tracked_boxes import IgnoreRegions, TrackedBoxes
 from track_range.tracking.registry import AppearanceModel
@@ -59,12 +65,15 @@ class Row:
 
     is_camera_motion_compensated: bool = False
     model: TimedModel | None = None
+    gating_threshold: float = AppearanceSettings().gating_threshold
     parts: list[list[Tracks]] = field(default_factory=list)
 
     def track(self, drive: AppearanceDrive) -> None:
         settings = DeepSortSettings(
             is_camera_motion_compensated=self.is_camera_motion_compensated,
-            appearance=NO_APPEARANCE if self.model is None else AppearanceSettings(),
+            appearance=NO_APPEARANCE
+            if self.model is None
+            else AppearanceSettings(gating_threshold=self.gating_threshold),
         )
         tracker = DeepSortTracker(settings, appearance_model=self.model)
         frames = enumerate(zip(drive.detected, drive.images, strict=True))
@@ -76,6 +85,7 @@ class Row:
 @workload(
     option("--data", default=REAL_DATA, help="folder with models"),
     option("--drives", default=6, help="number of simulated drives"),
+    option("--first-seed", default=1, help="seed of the first drive"),
     option("--seconds", default=12.0, help="length of a simulated drive"),
     option("--steady", default=False, help="simulated camera without pitch and yaw"),
     option(
@@ -88,7 +98,7 @@ class Row:
 def appearance(options: Namespace) -> Figures:
     cv2.setNumThreads(1)
     reid = options.reid or options.data / "models" / "osnet_x0_25_msmt17.onnx"
-    seeds = range(1, options.drives + 1)
+    seeds = range(options.first_seed, options.first_seed + options.drives)
     drives = (
         simulated(seed, seconds=options.seconds, is_shaken=not options.steady) for seed in seeds
     )
@@ -104,6 +114,9 @@ def _rows(reid: Path) -> dict[str, Row]:
         "motion, camera": Row(True),
         "motion, built-in appearance": Row(model=timed(ColourLayout())),
         "motion, camera, built-in appearance": Row(True, timed(ColourLayout())),
+        "the same as --tracker road has it": Row(
+            True, timed(ColourLayout(ROAD_COLOURS)), ROAD.appearance.gating_threshold
+        ),
     }
     if reid.is_file():
         rows["motion, camera, OSNet"] = Row(

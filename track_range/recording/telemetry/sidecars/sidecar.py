@@ -4,21 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from track_range.recording.telemetry.signal_choice import SignalChoice
 from track_range.recording.telemetry.tracks.track import TelemetryTrack
 
 # telemetry of a file for the video with a name and a length in s, 0 = unknown
 SidecarReader = Callable[[Path, str, float], TelemetryTrack | None]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SignalChoice:
-    """The speed among the signals of a log, as the user names it."""
-
-    name: str = ""  # of a signal, perhaps after that of its group or message; "" = the only speed
-    database: Path | None = None  # DBC of the messages of a bus
-
-
-ANY_SIGNAL = SignalChoice()
 SignalReader = Callable[[Path, SignalChoice], TelemetryTrack | None]
 
 
