@@ -27,10 +27,12 @@ from track_range.results.formats.poses_file import Poses
 from track_range.results.rows.columns import methods_with_sigma
 from track_range.results.rows.rows import Rows
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.mounting import Mounting
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.tracks import Tracks
 
 _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
+_LEAST_ALONG = 0.1  # share of a speed along the axis, from which the part across it is known
 
 
 def frames_of_rows(
@@ -39,15 +41,17 @@ def frames_of_rows(
     methods: Iterable[str],
     fps: float,
     poses: Poses | None = None,
+    mounting: Mounting | None = None,
 ) -> Iterator[FrameResult]:
     """One result per frame; numbers have the precision of the rows, and the UTC of frames without
     tracks is unknown.
 
     `rows` are in the order of their frames; `frame_index` are the numbers of all frames of the
     run, in order; `methods` are the distances that were measured; `fps` is the frame rate of the
-    video; `poses` are the camera's.
+    video; `poses` are the camera's, and `mounting` tells the part of the speed across its axis, which
+    is unknown beside a camera that looks more than 84 degrees aside.
     """
-    frames = _Frames(rows, set(methods), fps)
+    frames = _Frames(rows, set(methods), fps, mounting or Mounting())
     for index in frame_index:
         pose = None if poses is None else poses.at(index)
         yield frames.result(index, pose or EgoPose())
@@ -86,16 +90,16 @@ def _part(rows: Rows, place: str, *, is_written: bool = False) -> dict[str, npt.
 class _Frames:
     """The rows of a run as parts of `FrameResult`, each by the places of its columns."""
 
-    def __init__(self, rows: Rows, methods: Set[str], fps: float) -> None:
+    def __init__(self, rows: Rows, methods: Set[str], fps: float, mounting: Mounting) -> None:
         self._rows, self._frame, self._fps = rows, rows["frame"], fps
+        right, _, forward = mounting.velocity_mps(1.0).tolist()
+        self._across = right / forward if abs(forward) >= _LEAST_ALONG else math.nan
         self._known_frame, first_row = np.unique(self._frame, return_index=True)
         self._known_s = rows["time_s"][first_row]
-        listed = ranging_methods()
         measured = [name for name in methods_with_sigma() if name in methods]
-        measured += [method.name for method in listed if not method.measures_distance]
-        class_id = map_to_road_classes([str(name) for name in rows["class"]])
+        measured += [one.name for one in ranging_methods() if not one.measures_distance]
         self._parts = {place: _part(rows, place) for place in PARTS}
-        self._parts["tracks"]["class_id"] = class_id
+        self._parts["tracks"]["class_id"] = map_to_road_classes([str(n) for n in rows["class"]])
         self._xyz_m = np.stack([rows[name] for name in ("x_m", "y_m", "fused_m")], axis=1)
         self._xy_sigma_m = np.stack([rows[name] for name in ("x_sigma_m", "y_sigma_m")], axis=1)
         self._has_warnings = "contact_probability" in rows and "warning" in rows
@@ -114,9 +118,8 @@ class _Frames:
         ego: dict[str, Any] = {
             name: float(values[0]) for name, values in parts["ego"].items() if has_rows
         }
+        motion = EgoMotion(**ego)
         tracks = Tracks(**parts["tracks"])
-        warnings = Warnings(**parts["alarms.warnings"])
-        safety = SafetyMeasures(**parts["alarms.safety"])
         columns: dict[str, Any] = parts["world.placement"]
         ranges = {
             name: Ranges(
@@ -140,8 +143,13 @@ class _Frames:
                 replace(Placement.unknown(last - first), **columns),
                 Cuboids(**parts["world.cuboids"]),
             ),
-            alarms=Alarms(warnings, safety, self._has_warnings, self._has_safety),
-            ego=EgoMotion(**ego),
+            alarms=Alarms(
+                Warnings(**parts["alarms.warnings"]),
+                SafetyMeasures(**parts["alarms.safety"]),
+                self._has_warnings,
+                self._has_safety,
+            ),
+            ego=replace(motion, right_mps=self._across * motion.speed_mps),
         )
 
     def _time_s(self, index: int) -> float:

@@ -60,6 +60,8 @@ class CuboidView:
         """
         for system, val in cuboids:
             values = np.array(val or [0.0] * 9, np.float64)
+            if len(values) not in (9, 10):
+                raise ValueError(f"expected 9 or 10 values of a cuboid, found {len(values)}")
             camera_from = self._camera_from(system, steps)
             if camera_from is not None and (values[-3:] > 0).all():
                 turn = (
@@ -78,8 +80,10 @@ class CuboidView:
         if common is None:
             return None
         with_z_up = [name for name, matrix in above.items() if matrix[2, 2] > _MIN_UP]
-        kinds = [str(self.systems.get(name, {}).get("type")) for name in with_z_up]
-        is_turned = any(not kind.startswith("sensor") for kind in kinds)
+        is_turned = any(
+            not str(self.systems.get(name, {}).get("type")).startswith("sensor")
+            for name in with_z_up
+        )
         axes: FloatArray = _CAMERA_FROM_ISO8855.copy() if is_turned else np.eye(4)
         axes[:3, 3] = np.linalg.solve(self.matrix[:, :3], self.matrix[:, 3])
         return np.asarray(axes @ np.linalg.inv(above[common]) @ others[common])

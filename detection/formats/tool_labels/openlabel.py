@@ -159,7 +159,7 @@ def _image(frame: int, content: Object, camera: str) -> int:
 def _boxes(
     root: Object, frames: Mapping[int, Object], camera: str, *, has_boxes: bool
 ) -> Iterator[ToolBox]:
-    """The boxes of the camera in all frames; a cuboid that has no image is a shape."""
+    """The boxes of the camera in all frames."""
     # files of this program state what was measured; its cuboids are filtered
     view = None if PIXELS in root["metadata"] else _view(root, camera)
     for frame, uid, items in _objects(root, frames):
@@ -169,12 +169,15 @@ def _boxes(
         kind = re.split("[#/]", str(items[0]["type"]))[-1]
         label = _ROAD_CLASSES.get(kind) or _KIND.sub("", kind)
         image = _image(frame, frames[frame], camera)
-        common = ToolBox(image, label, _NO_EDGES, uid, shape="cuboid that no camera shows")
+        common = ToolBox(image, label, _NO_EDGES, uid)
         if has_boxes or not cuboids:
             yield from _boxes_of(items, camera, common, seen)
         else:
-            edges = _NO_EDGES if seen is None else seen.outline()
-            yield _box(common._replace(edges=edges), _values(*items), seen)
+            outline = common._replace(
+                edges=_NO_EDGES if seen is None else seen.outline(),
+                shape="cuboid that no camera shows",
+            )
+            yield _box(outline, _values(*items), seen)
 
 
 def _objects(
@@ -206,8 +209,11 @@ def _boxes_of(
     values = _values(*items)
     for box in (box for item in items for box in _listed(item, "bbox", "rbbox")):
         if _system_of(box) in ("", camera):
-            own = {**values, **_values(box, inside="attributes")}
-            yield _box(common._replace(edges=_edges(box)), own, seen)
+            yield _box(
+                common._replace(edges=_edges(box)),
+                {**values, **_values(box, inside="attributes")},
+                seen,
+            )
 
 
 def _box(box: ToolBox, values: Object, seen: SeenCuboid | None) -> ToolBox:

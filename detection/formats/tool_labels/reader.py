@@ -131,8 +131,8 @@ def understood(file: Path, title: str) -> Iterator[None]:
     try:
         yield
     except LabelFileError as error:
-        text = str(error)
-        raise LabelFileError(text if str(file) in text else f"{file}: {text}.") from error
+        text = str(error).removesuffix(".")
+        raise LabelFileError(f"{text}." if str(file) in text else f"{file}: {text}.") from error
     except _OTHER_CONTENT as error:
         raise LabelFileError(
             f"{file}: expected labels of {title}, found other content ({quoted(error)})."

@@ -218,6 +218,7 @@ def test_refused_files(tmp_path: Path, change: dict[str, Any], key_word: str) ->
         ("bbox", [0.2, 0.3, 0.1, 0.1], "fractions"),
         ("bbox", [20, 30, 10], "OpenLABEL"),
         ("bbox", ["wide", 30, 10, 1], "OpenLABEL"),
+        ("cuboid", [20, 0, 1, 4, 2, 1.5], "9 or 10 values of a cuboid, found 6"),
     ],
 )
 def test_refused_boxes(tmp_path: Path, kind: str, val: list[Any], key_word: str) -> None:

@@ -152,7 +152,7 @@ def with_unknown(known):
 
 
 @contextmanager
-def writing(folder, names=("csv", "mot")):
+def writing(folder, names=("csv", "mot"), info=INFO):
     """Context with the open writers of these names."""
-    with OpenWriters(names, INFO, folder) as opened:
+    with OpenWriters(names, info, folder) as opened:
         yield opened

@@ -12,9 +12,12 @@ from tests.documentation.documented_commands import PAGES
 from tests.support.results.frame_results import changed
 from tests.track_range.results.moving_frames import PERIOD_S, START_S, frame, info
 from track_range.ranging.warning.safety import SafetyMeasures
+from track_range.ranging.world.ego_path import EgoPose
 from track_range.results.formats.adas import mdf_file
 from track_range.results.formats.adas.mdf_file import channels_of, comment_of
 from track_range.results.writers import OpenWriters
+from track_range.stereo.geometry.mounting import Mounting
+from track_range.stereo.odometry.ego_motion import EgoMotion
 
 asammdf = pytest.importorskip("asammdf", reason="asammdf is not installed (extra adas)")
 
@@ -103,6 +106,18 @@ def test_lead_and_ego(mdf):
         assert math.isclose(channel(mdf, f"lead_{name}_sigma")[0], expected, rel_tol=1e-5)
     assert channel(mdf, "ego_speed").tolist() == [10.0] * N_FRAMES
     np.testing.assert_allclose(channel(mdf, "ego_yaw_rate")[[0, 2]], [-0.1, math.nan])
+
+
+def test_ego_of_a_camera_that_looks_aside(tmp_path):
+    """Speed and heading are those of the vehicle, not those of the axis of the camera."""
+    mounting = Mounting(yaw_deg=-60.0)
+    right_mps, _, forward_mps = mounting.velocity_mps(10.0)
+    ego = EgoMotion(forward_mps, 0.25, right_mps=right_mps, right_sigma_mps=0.25 * 3**0.5)
+    given = changed(frame(0), ego=ego, ego_pose=EgoPose(0.0, 0.0, 0.1))
+    with asammdf.MDF(written(tmp_path, [given], mounting=mounting)) as mdf:
+        expected = {"speed": 10.0, "speed_sigma": 0.5, "heading": 0.1 + math.radians(60.0)}
+        for name, value in expected.items():
+            assert channel(mdf, f"ego_{name}") == pytest.approx(value)
 
 
 def test_slots_are_empty_for_a_frame(tmp_path):

@@ -20,6 +20,7 @@ from tests.track_range.results.moving_frames import frame
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
 from track_range.results.formats.adas.openscenario_file import OpenScenarioWriter
+from track_range.stereo.geometry.mounting import Mounting
 
 
 @pytest.fixture(scope="module")
@@ -52,8 +53,8 @@ def moved(index, *, state="moving", x_m=(30.0, 60.0), heading_deg=0.0, **cuboid)
     )
 
 
-def written(folder, frames):
-    with writing(folder, ("openscenario",)) as rows:
+def written(folder, frames, **info):
+    with writing(folder, ("openscenario",), replace(INFO, **info)) as rows:
         for each in frames:
             rows.write(each)
     return folder / "run.xosc"
@@ -162,3 +163,11 @@ def test_a_run_names_the_files_that_it_has(tmp_path, run_on_noise):
     assert "run.xosc" in names
     assert "run.xodr" not in names
     assert all(file.exists() for file in run.files)
+
+
+def test_box_of_the_ego_vehicle_is_where_the_mounting_states_it(tmp_path):
+    """Its front is 2 m before the camera, which is 0.5 m to the right of its middle."""
+    mounting = Mounting(yaw_deg=-58.0, x_m=1.5, y_m=-0.5, front_m=3.5)
+    root = root_of(written(tmp_path, [moved(0)], mounting=mounting))
+    centre = root.find("Entities/ScenarioObject[@name='ego']//Center").attrib
+    assert centre == {"x": "-0.10", "y": "0.50", "z": "0.75"}

@@ -67,11 +67,6 @@ class TrackObject:
         return self.figure("distance_m")
 
     @property
-    def is_ranged(self) -> bool:
-        """Whether the distance is known."""
-        return math.isfinite(self.distance_m) and self.distance_m > 0
-
-    @property
     def has_cuboid(self) -> bool:
         """Whether centre, size and direction of the cuboid are known."""
         return bool(np.isfinite(self.corners_m).all())
@@ -80,7 +75,7 @@ class TrackObject:
     def label(self) -> str:
         """Class, identity and distance, such as "car 3  24.1 ± 0.6 m"."""
         name = f"{self.class_name} {self.track_id}"
-        if not self.is_ranged:
+        if not self.distance_m > 0:  # also where it is not known
             return name
         sigma = f" ± {self.figures['sigma_m']:.1f}" if "sigma_m" in self.figures else ""
         return f"{name}  {self.distance_m:.1f}{sigma} m"
@@ -92,8 +87,9 @@ def track_objects(
     """The tracks of a frame with their cuboids; `columns` are the `viewer_columns`."""
     tracks, cuboids = result.tracks, result.cuboids
     figures = {name: column.read(result) for name, column in columns.items()}
-    yaw_deg = np.nan_to_num(cuboids.yaw_deg)[:, None]
-    turns = _CAMERA_FROM_LEVEL * Rotation.from_euler("z", yaw_deg, degrees=True)
+    turns = _CAMERA_FROM_LEVEL * Rotation.from_euler(
+        "z", np.nan_to_num(cuboids.yaw_deg)[:, None], degrees=True
+    )
     xyzw, covariance_m2, corners_m = turns.as_quat(), cuboids.covariance_m2, cuboid_corners(cuboids)
     is_parked = result.motion.state == MOTION_STATES.index("parked")
     for i, track_id in enumerate(tracks.track_id.tolist()):
@@ -127,11 +123,6 @@ class Transform(NamedTuple):
     at_m: tuple[float, float, float]  # its origin in the parent
     xyzw: tuple[float, float, float, float]  # quaternion that rotates vectors to the parent
 
-    @property
-    def turn(self) -> Rotation:
-        """Rotation of vectors to the parent."""
-        return Rotation.from_quat(self.xyzw)
-
 
 def transforms(pose: EgoPose | None, mounting: Mounting | None) -> tuple[Transform, Transform]:
     """The vehicle in the frame `map`, at its origin if the pose of the camera is unknown, and the
@@ -145,10 +136,7 @@ def transforms(pose: EgoPose | None, mounting: Mounting | None) -> tuple[Transfo
         x_m, y_m, heading_rad = pose.x_m, pose.y_m, pose.heading_rad
     at_m, xyzw = (0.0, 0.0, 0.0), VEHICLE_FROM_CAMERA_XYZW
     if mounting is not None:
-        right_x, right_y, right_z, right_w = Rotation.from_matrix(
-            mounting.vehicle_from_camera
-        ).as_quat()
-        xyzw = float(right_x), float(right_y), float(right_z), float(right_w)
+        xyzw = tuple(Rotation.from_matrix(mounting.vehicle_from_camera).as_quat().tolist())
         at_m = mounting.x_m, mounting.y_m, mounting.z_m or 0.0
         heading_rad -= math.radians(mounting.yaw_deg)
         c, s = math.cos(heading_rad), math.sin(heading_rad)

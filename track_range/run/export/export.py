@@ -323,7 +323,12 @@ def _export_rows(
         writer.open(info, folder)
         try:
             for result in frames_of_rows(
-                rows, frames, rows.methods_measured, fps * every_of(run.settings), poses
+                rows,
+                frames,
+                rows.methods_measured,
+                fps * every_of(run.settings),
+                poses,
+                info.mounting,
             ):
                 writer.write(result)
         finally:

@@ -9,7 +9,7 @@ import pytest
 from mcap.reader import make_reader
 from pyarrow import parquet
 
-from tests.support.results.frame_results import result, writing
+from tests.support.results.frame_results import changed, result, writing
 from track_range.foundation.registry import imported
 from track_range.ranging.methods.method import MethodError
 from track_range.ranging.registry import METHODS, register
@@ -19,6 +19,7 @@ from track_range.results.rows import columns
 from track_range.results.rows.column import ResultColumn, RowReader
 from track_range.results.rows.rows import Rows
 from track_range.results.table import RunTable
+from track_range.stereo.geometry.mounting import Mounting
 
 NAN = np.nan
 SIGMA = ResultColumn(
@@ -144,6 +145,18 @@ def test_rows_of_earlier_versions_have_no_measures(tmp_path, first_missing):
     assert not again.alarms.has_safety
     assert again.alarms.has_warnings == (first_missing == "gap_m")
     assert not again.warnings.active.any()
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, -58.0, 90.0])
+def test_speed_across_the_axis_follows_from_the_mounting(tmp_path, yaw_deg):
+    mounting = Mounting(yaw_deg=yaw_deg)
+    right_mps, _, forward_mps = mounting.velocity_mps(10.0)
+    with writing(tmp_path, ("csv",)) as files:
+        files.write(changed(result(), ego_mps=forward_mps))
+    rows = read_run_rows(tmp_path / "tracks.csv", [])
+    (again,) = frames_of_rows(rows, [4], rows.methods_measured, 10.0, mounting=mounting)
+    expected = NAN if yaw_deg == 90.0 else right_mps
+    assert again.ego.right_mps == pytest.approx(expected, abs=0.01, nan_ok=True)
 
 
 def test_values_have_their_declared_types():

@@ -111,8 +111,9 @@ def read_frames(
         if getattr(frames, "timestamps_format", None) == "relative":
             raise TelemetryError(f"{path}: expected absolute timestamps, found relative ones.")
         if not streams:
-            is_given = choice.database is not None
-            advice = "give the database of this bus" if is_given else "give its DBC with --dbc"
+            advice = (
+                "give the database of this bus" if choice.database else "give its DBC with --dbc"
+            )
             raise TelemetryError(
                 f"{path}: expected frames with {named.place}, found none; {advice}."
             )
@@ -137,7 +138,7 @@ def _reading(path: Path) -> Iterator[None]:
         start = file.read(8)
     try:
         if not start or not start.startswith(starts):
-            raise ValueError("start")
+            raise ValueError("by its first bytes")
         yield
     except TelemetryError:
         raise
@@ -205,10 +206,11 @@ def _chosen(path: Path, signals: Sequence[_Signal], choice: SignalChoice) -> tup
     if wanted:
         meant = [one for one in signals if wanted in (one.name, one.place)]
     if len(meant) != 1:
-        names = shortened(", ".join(one.place for one in meant or speeds), _MAX_LISTED)
+        names = shortened(", ".join(one.place for one in meant or speeds or signals), _MAX_LISTED)
+        found = names if meant or speeds else f"none among {names or 'no signals'}"
         what = f"one signal {quoted(wanted)}" if wanted else "one signal with a unit of speed"
         raise TelemetryError(
-            f"{path}: expected {what}, found {names or 'none'}; name the speed of the car with "
+            f"{path}: expected {what}, found {found}; name the speed of the car with "
             "--speed-channel."
         )
     (signal,) = meant

@@ -1,1 +1,1 @@
-"""Formats of ASAM for driver assistance; those but OpenLABEL need the extra [adas]."""
+"""Formats of ASAM for driver assistance; MDF4 and OSI need the extra [adas]."""

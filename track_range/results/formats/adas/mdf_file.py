@@ -25,6 +25,7 @@ from track_range.results.formats.run_info import RunInfo
 from track_range.results.formats.scene import check_extra
 from track_range.results.rows.column import ColumnKind, ResultColumn
 from track_range.results.rows.columns import declared_columns
+from track_range.stereo.geometry.mounting import Mounting
 
 MDF_FILE = "run.mf4"
 _VERSION = "4.11"
@@ -99,12 +100,14 @@ _OF_LEAD: Mapping[str, str] = {
 }
 _COMPUTED: Mapping[str, tuple[ResultColumn, ...]] = {  # channels that are no columns, by group
     "ego": (
-        ResultColumn("speed", "m/s", "", "speed of the camera along its axis, forwards"),
+        ResultColumn("speed", "m/s", "", "speed of the vehicle along its axis, forwards"),
         ResultColumn("speed_sigma", "m/s", "", ""),
         ResultColumn("yaw_rate", "rad/s", "", "yaw rate, positive to the left"),
         ResultColumn("x", "m", "", "position of the camera in the frame map, along its first axis"),
         ResultColumn("y", "m", "", "position of the camera in the frame map, to the left"),
-        ResultColumn("heading", "rad", "", "heading in the frame map, counterclockwise"),
+        ResultColumn(
+            "heading", "rad", "", "heading of the vehicle in the frame map, counterclockwise"
+        ),
     ),
     "lead": (
         ResultColumn("headway_sigma", "s", "", ""),
@@ -156,9 +159,7 @@ class MdfWriter:
         if len(self._frames) == _N_BUFFERED:
             self._flush()
         self._slots_before, self._slots = self._slots, self._slots_of(result)
-        ego, pose = result.ego, result.ego_pose
-        speeds = ego.speed_mps, ego.speed_sigma_mps, -ego.yaw_rad_s
-        frame = {"ego": np.array([*speeds, pose.x_m, pose.y_m, pose.heading_rad])}
+        frame = {"ego": _ego_values(result, self._info.mounting or Mounting())}
         values = _values(result, self._declared)
         leads = np.flatnonzero(values["is_lead"] == 1)
         frame["lead"] = _lead_values(result, self._declared, int(leads[0]) if len(leads) else None)
@@ -266,6 +267,18 @@ def _values(result: FrameResult, declared: Mapping[str, ResultColumn]) -> dict[s
     ):
         values[flag][np.isnan(values[known])] = np.nan
     return values
+
+
+def _ego_values(result: FrameResult, mounting: Mounting) -> FloatArray:
+    """The values of the channels of the ego vehicle. Its speed is that of the camera along its x axis;
+    the errors of both parts of a given speed are one.
+    """
+    ego, pose = result.ego, result.ego_pose
+    right, _, forward = mounting.vehicle_from_camera[0].tolist()
+    speed_mps = forward * ego.speed_mps + right * ego.right_mps
+    sigma_mps = abs(forward) * ego.speed_sigma_mps + abs(right) * ego.right_sigma_mps
+    heading_rad = pose.heading_rad - math.radians(mounting.yaw_deg)
+    return np.array([speed_mps, sigma_mps, -ego.yaw_rad_s, pose.x_m, pose.y_m, heading_rad])
 
 
 def _lead_values(

@@ -76,11 +76,10 @@ def _document(drive: Trajectories) -> ElementTree.Element:
     }
     data = [node("userData", code=f"track-range:{key}", value=uncertain[key]) for key in uncertain]
     n_left, n_right, offset = _lane_counts(drive, path.samples)
-    flat = node("elevation", s=0, a=0, b=0, c=0, d=0)
     road = node(
         "road",
         node("planView", *path.geometry),
-        node("elevationProfile", flat),
+        node("elevationProfile", node("elevation", s=0, a=0, b=0, c=0, d=0)),
         _lanes(n_left, n_right, offset * drive.lane.width_m, drive.lane.width_m),
         *data,
         name="path of the camera",
@@ -249,11 +248,13 @@ def _lanes(n_left: int, n_right: int, offset_m: float, width_m: float) -> Elemen
 
     left = [lane(number, is_edge=number == n_left) for number in range(n_left, 0, -1)]
     right = [lane(-number, is_edge=number == n_right) for number in range(1, n_right + 1)]
-    centre = lane(0, is_edge=not (left and right))
-    sides = [node("center", centre)]
+    sides = [node("center", lane(0, is_edge=not (left and right)))]
     if left:
         sides.insert(0, node("left", *left))
     if right:
         sides.append(node("right", *right))
-    shift = node("laneOffset", s=0, a=_text(offset_m), b=0, c=0, d=0)
-    return node("lanes", shift, node("laneSection", *sides, s=0))
+    return node(
+        "lanes",
+        node("laneOffset", s=0, a=_text(offset_m), b=0, c=0, d=0),
+        node("laneSection", *sides, s=0),
+    )

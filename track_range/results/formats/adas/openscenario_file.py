@@ -22,12 +22,16 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.methods.lane_width import LaneWidth, usual_width
-from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.world.cuboid_corners import mean_axis_rad, mean_size_m
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import MOTION_STATES
 from track_range.results.formats.adas.opendrive_file import ROAD_FILE, write_road
-from track_range.results.formats.adas.trajectories import N_VALUES, Trajectories
+from track_range.results.formats.adas.trajectories import (
+    EGO_SIZE_M,
+    N_VALUES,
+    Trajectories,
+    ego_centre_m,
+)
 from track_range.results.formats.adas.xml_nodes import node, write_nodes
 from track_range.results.formats.run_info import RunInfo
 
@@ -85,6 +89,8 @@ class Variation:
 
 
 _MEASURED = Variation(parameters={})
+# name, category, size, centre relative to the reference point, and time, x, y, heading
+_Object = tuple[str, str, Sequence[float], tuple[float, float], FloatArray]
 
 
 def _at(name: str, time_s: float) -> ElementTree.Element:
@@ -104,6 +110,7 @@ class OpenScenarioWriter:
     def open(self, info: RunInfo, folder: Path) -> None:
         """Start without frames."""
         self._info, self._folder = info, folder
+        self._turn_rad = 0.0 if info.mounting is None else math.radians(info.mounting.yaw_deg)
         self._ego: list[list[float]] = []  # time, x, y, heading and sigma of each frame
         self._tracks: list[FloatArray] = []  # of each of these frames, see `_rows`
         self._n_before = 0  # frames before the last one
@@ -113,9 +120,7 @@ class OpenScenarioWriter:
         """Add a frame."""
         pose, self._n_before = result.ego_pose, len(self._ego)
         if math.isfinite(pose.x_m):
-            mounting = self._info.mounting
-            turn_rad = 0.0 if mounting is None else math.radians(mounting.yaw_deg)
-            heading_rad, sigma_m = pose.heading_rad - turn_rad, math.hypot(*pose.sigmas[:2])
+            heading_rad, sigma_m = pose.heading_rad - self._turn_rad, math.hypot(*pose.sigmas[:2])
             self._ego.append([result.time_s, pose.x_m, pose.y_m, heading_rad, sigma_m])
             self._tracks.append(_rows(result, pose))
 
@@ -144,6 +149,7 @@ class OpenScenarioWriter:
             start_utc_s=self._info.start_utc_s,
             end_sigma_m=float(ego[-1, 4]) if len(ego) else math.nan,
             lane=self._lane,
+            ego_centre_m=ego_centre_m(self._info.mounting),
         )
 
 
@@ -169,16 +175,15 @@ def _scenario(
     drive: Trajectories, variation: Variation, description: str, road: str
 ) -> ElementTree.Element:
     start_s = drive.start_s
-    ego_m = [WarningSettings().ego_length_m, WarningSettings().ego_width_m, 1.5]
     path, rows = drive.ego - [start_s, 0, 0, 0], drive.rows - [start_s, *[0] * (N_VALUES - 1)]
-    centre_x_m = WarningSettings().front_m - ego_m[0] / 2
-    objects = [(EGO, "car", ego_m, centre_x_m, path)] if len(path) else []
+    ego = (EGO, "car", EGO_SIZE_M, drive.ego_centre_m, path)
+    objects: list[_Object] = [ego] if len(path) else []
     for track_id in dict.fromkeys(rows[:, 6].tolist()):
         track = rows[rows[:, 6] == track_id]
         name = object_name(track[:, 7], track_id)
         category = _CATEGORIES[name.rpartition("-")[0]]
         size_m = mean_size_m(track[:, 12:15], track[:, 15:])
-        objects.append((name, category, size_m, 0.0, _placed(track)))
+        objects.append((name, category, size_m, (0.0, 0.0), _placed(track)))
     init = [_private(name, table[0], variation) for name, *_, table in objects if table[0, 0] <= 0]
     groups = [_maneuvers(name, table, variation) for name, *_, table in objects]
     story = (
@@ -215,9 +220,8 @@ def _rows(result: FrameResult, pose: EgoPose) -> FloatArray:
     place = (np.full(n, result.time_s), x_m, y_m, heading_rad, cuboids.front_known)
     known = (result.safety.gap_m, result.warnings.path_offset_m, motion.speed_mps)
     identity = (is_parked, tracks.track_id, tracks.class_id)
-    ego_mps = np.full(n, result.ego_mps)
-    sizes = (cuboids.lwh_m, cuboids.lwh_sigma_m)
-    rows = np.column_stack([*place, *identity, *known, ego_mps, *sizes])
+    others = (np.full(n, result.ego_mps), cuboids.lwh_m, cuboids.lwh_sigma_m)
+    rows = np.column_stack([*place, *identity, *known, *others])
     is_known = np.isfinite(rows[:, [1, 2, 3, 12, 13, 14]]).all(axis=1)
     return np.asarray(rows[is_known & _IS_WRITTEN[tracks.class_id]])
 
@@ -241,15 +245,14 @@ def _placed(rows: FloatArray) -> FloatArray:
 
 
 def _entity(
-    name: str, category: str, size_m: Sequence[float], centre_x_m: float
+    name: str, category: str, size_m: Sequence[float], centre_m: tuple[float, float]
 ) -> ElementTree.Element:
-    length, width, height = size_m
+    (length, width, height), (centre_x_m, centre_y_m) = size_m, centre_m
     box = node(
         "BoundingBox",
-        node("Center", x=f"{centre_x_m:.2f}", y=0, z=f"{height / 2:.2f}"),
+        node("Center", x=f"{centre_x_m:.2f}", y=f"{centre_y_m:.2f}", z=f"{height / 2:.2f}"),
         node("Dimensions", width=f"{width:.2f}", length=f"{length:.2f}", height=f"{height:.2f}"),
     )
-    common = {"name": category}
     if category == "pedestrian":
         body = node(
             "Pedestrian",
@@ -258,7 +261,7 @@ def _entity(
             mass=75,
             model="",
             pedestrianCategory=category,
-            **common,
+            name=category,
         )
     else:
         to_axle_m = _AXLE_FRACTION * length
@@ -274,7 +277,7 @@ def _entity(
         )
         performance = node("Performance", maxSpeed=70, maxAcceleration=10, maxDeceleration=10)
         parts = (box, performance, node("Axles", *axles), node("Properties"))
-        body = node("Vehicle", *parts, vehicleCategory=category, **common)
+        body = node("Vehicle", *parts, vehicleCategory=category, name=category)
     return node("ScenarioObject", body, name=name)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from track_range.pipeline.frame_result import FrameResult, PointState, TrackedObject
-from track_range.ranging.warning.settings import WarningSettings
+from track_range.results.formats.adas.trajectories import EGO_SIZE_M, ego_centre_m
 from track_range.results.formats.run_info import RunInfo
 from track_range.results.formats.scene import transforms
 from track_range.stereo.geometry.mounting import Mounting
@@ -38,8 +38,6 @@ _CLASSES: Mapping[str, dict[str, Any]] = {  # of moving objects
     "bus": {"type": "TYPE_VEHICLE", "vehicle_classification": {"type": "TYPE_BUS"}},
     "truck": {"type": "TYPE_VEHICLE", "vehicle_classification": {"type": "TYPE_HEAVY_TRUCK"}},
 }
-_EGO, _EGO_HEIGHT_M = WarningSettings(), 1.5  # nominal, as in run.xosc
-_EGO_M = (_EGO.ego_length_m, _EGO.ego_width_m, _EGO_HEIGHT_M)
 _AT_REST = {False: "STATIONARY", True: "STOPPED"}  # by whether the track has moved
 # places in BaseMoving of the values of an object; BaseStationary has the first nine
 _PLACES = (
@@ -67,9 +65,8 @@ class OsiMessages:
         self.types = {name: resolve_name(place) for name, place in MESSAGES.items()}
         self._info, self._moved = info, set[int]()
         self._mounting = mounting = info.mounting or Mounting()
-        bumper_m = _EGO.front_m if mounting.bumper_m is None else mounting.bumper_m
         # of the middle of the ego vehicle, from its reference point
-        self._centre_m = mounting.x_m + bumper_m - _EGO.ego_length_m / 2
+        self._centre_m = mounting.x_m + ego_centre_m(mounting)[0]
         angles = np.radians([mounting.yaw_deg, mounting.pitch_deg, mounting.roll_deg])
         self._sensor_from_vehicle = Rotation.from_euler("ZYX", angles).inv()
         self._mounted = {
@@ -172,7 +169,7 @@ class OsiMessages:
         plane, on which objects whose height above it is not known stand.
         """
         host, rmse = self._host(result)
-        to_reference = {"x": -self._centre_m, "y": 0.0, "z": -_EGO_HEIGHT_M / 2}
+        to_reference = {"x": -self._centre_m, "y": 0.0, "z": -EGO_SIZE_M[2] / 2}
         attributes = {} if self._info.mounting is None else {"bbcenter_to_rear": to_reference}
         identity = {"value": HOST_ID}
         objects: list[dict[str, Any]] = [
@@ -211,13 +208,13 @@ class OsiMessages:
         centre_m = complex(*vehicle.at_m[:2]) + self._centre_m * cmath.exp(1j * yaw)
         of_turn_mps = -1j * np.nan_to_num(ego.yaw_rad_s) * (centre_m - complex(pose.x_m, pose.y_m))
         velocity_mps = axis * complex(ego.speed_mps, -ego.right_mps) + of_turn_mps
-        place = (centre_m.real, centre_m.imag, _EGO_HEIGHT_M / 2, math.remainder(yaw, math.tau))
+        place = (centre_m.real, centre_m.imag, EGO_SIZE_M[2] / 2, math.remainder(yaw, math.tau))
         velocity = (velocity_mps.real, velocity_mps.imag, 0.0 * velocity_mps.real)
         x_sigma_m, y_sigma_m, yaw_sigma = pose.sigmas
         along, right = axis * ego.speed_sigma_mps, axis * ego.right_sigma_mps
         speeds = (math.hypot(along.real, right.imag), math.hypot(along.imag, right.real))
         rmse = (*_NAN3, x_sigma_m, y_sigma_m, _NAN, yaw_sigma, _NAN, _NAN, *speeds)
-        return _base((*_EGO_M, *place, 0.0, 0.0, *velocity, -ego.yaw_rad_s)), _base(rmse)
+        return _base((*EGO_SIZE_M, *place, 0.0, 0.0, *velocity, -ego.yaw_rad_s)), _base(rmse)
 
 
 def _base(values: Iterable[float]) -> dict[str, dict[str, float]]:

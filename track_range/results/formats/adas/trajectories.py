@@ -6,8 +6,22 @@ from datetime import UTC, datetime
 
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.methods.lane_width import LaneWidth, usual_width
+from track_range.ranging.warning.settings import WarningSettings
+from track_range.stereo.geometry.mounting import Mounting
 
 N_VALUES = 18  # of a row
+_NOMINAL = WarningSettings()
+# length, width and height of the ego vehicle: nominal
+EGO_SIZE_M = (_NOMINAL.ego_length_m, _NOMINAL.ego_width_m, 1.5)
+
+
+def ego_centre_m(mounting: Mounting | None) -> tuple[float, float]:
+    """How far the middle of the ego vehicle is in front of the camera, and to its left, in the
+    directions of the vehicle; nominal where the mounting does not state it.
+    """
+    bumper_m = None if mounting is None else mounting.bumper_m
+    front_m = _NOMINAL.front_m if bumper_m is None else bumper_m
+    return front_m - EGO_SIZE_M[0] / 2, 0.0 if mounting is None else -mounting.y_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,9 +36,9 @@ class Trajectories:
     ego: FloatArray  # (N, 4) time, x, y and heading
     rows: FloatArray  # (M, N_VALUES)
     start_utc_s: float | None  # of time 0; None = unknown
-    end_sigma_m: float = (
-        math.nan
-    )  # largest standard deviation of the last position of the ego vehicle
+    # largest standard deviation of the last position of the ego vehicle
+    end_sigma_m: float = math.nan
+    ego_centre_m: tuple[float, float] = ego_centre_m(None)  # see there
     lane: LaneWidth = field(default_factory=lambda: usual_width("unknown"))
 
     @property

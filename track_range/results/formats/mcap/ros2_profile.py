@@ -251,7 +251,7 @@ class Ros2Profile:
         """Autoware's message of a track, in the axes of the `vehicle`, of which it is given where
         the camera is; its twist is in its own axes.
         """
-        turn = vehicle.turn
+        turn = Rotation.from_quat(vehicle.xyzw)
         at_m = turn.apply(shown.centre_m) + vehicle.at_m
         xyzw = (turn * Rotation.from_quat(shown.xyzw)).as_quat()
         R = turn.as_matrix()
