@@ -301,6 +301,7 @@ def _export_rows(
     if not settings.per_event:
         check_replaceable(settings.out, settings.to)
     fps, poses = run.fps or DEFAULT_FPS, read_poses(run.folder)
+    rate_hz = fps * every_of(run.settings)  # of the video
     if is_scenario or settings.to == "osi-gt":
         notes = (*notes, *_unplaced(rows, poses, "scenario" if is_scenario else "trace"))
     info = RunInfo(
@@ -323,23 +324,17 @@ def _export_rows(
         writer.open(info, folder)
         try:
             for result in frames_of_rows(
-                rows,
-                frames,
-                rows.methods_measured,
-                fps * every_of(run.settings),
-                poses,
-                info.mounting,
+                rows, frames, rows.methods_measured, rate_hz, poses, info.mounting
             ):
                 writer.write(result)
         finally:
             writer.close(run.summary)
-        if is_scenario and not settings.per_event:
-            drive = cast(OpenScenarioWriter, writer).drive()
-            return Exported(len(rows), 0, (*notes, *_write_drive(drive, settings)))
-        if not settings.per_event:
+        if not is_scenario:
             _move(folder / writer.files[0], settings.out)
             return Exported(len(rows), 0, notes)
         drive = cast(OpenScenarioWriter, writer).drive()
+        if not settings.per_event:
+            return Exported(len(rows), 0, (*notes, *_write_drive(drive, settings)))
         n_scenarios = _write_scenarios(drive, run.events, settings.out)
     if n_missing := len(run.events) - n_scenarios:
         lacks = "whose road user or camera has no known position"
