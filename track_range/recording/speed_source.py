@@ -32,9 +32,9 @@ from track_range.recording.telemetry.sidecars.speed_csv import (
     is_telemetry_header,
     log_table,
 )
-from track_range.recording.telemetry.signal_choice import ANY_SIGNAL, SignalChoice
 from track_range.recording.telemetry.speed_files import EgoSpeedError, open_ego_speed
 from track_range.recording.telemetry.time_offset import MotionSeries, TimeOffset, estimated_offset
+from track_range.recording.telemetry.tracks.signal_choice import ANY_SIGNAL, SignalChoice
 from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 from track_range.recording.telemetry.video_clock import check_covered
 from track_range.recording.video.video import VideoPart

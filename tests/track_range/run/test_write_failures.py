@@ -216,7 +216,7 @@ def check_folder(out: Path, n_frames: int) -> None:
 
 @pytest.mark.parametrize(
     "limit",
-    [16_000, *(pytest.param(n, marks=pytest.mark.slow) for n in (17_500, 19_000, 24_000, 29_000))],
+    [24_000, *(pytest.param(n, marks=pytest.mark.slow) for n in (25_500, 27_000, 32_000, 37_000))],
 )
 def test_run_on_a_full_disk(
     tmp_path: Path, run_on_noise: Callable[..., tr.Run], limit: int

@@ -39,7 +39,7 @@ from track_range.recording.telemetry.sidecars.reading import (
     read_sidecar,
     sidecar_suffixes,
 )
-from track_range.recording.telemetry.signal_choice import ANY_SIGNAL, SignalChoice
+from track_range.recording.telemetry.tracks.signal_choice import ANY_SIGNAL, SignalChoice
 from track_range.recording.telemetry.tracks.track import COLUMNS, TelemetryError, TelemetryTrack
 from track_range.recording.telemetry.video_clock import check_covered, on_video_clock
 from track_range.recording.video.video import VideoPart

@@ -102,7 +102,7 @@ class ExportSettings(Options):
             is_argument=True,
         ),
     ]
-    to: Annotated[str, option("Format of the output.", choices=export_formats)]
+    to: Annotated[str, option("Format of the output.", metavar="FORMAT", choices=export_formats)]
     out: Annotated[Path, option("File to write; a folder for yolo.", metavar="PATH")]
     per_event: Annotated[
         bool,

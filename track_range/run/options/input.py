@@ -15,7 +15,7 @@ from pydantic import InstanceOf, field_serializer, field_validator
 from track_range.foundation.errors import ConfigError
 from track_range.foundation.schemas.options import Options, option
 from track_range.recording.sources.names import VideoName, source_of, video_name
-from track_range.recording.telemetry.signal_choice import SignalChoice
+from track_range.recording.telemetry.tracks.signal_choice import SignalChoice
 from track_range.recording.video.layouts import Bayer, LayoutOption
 from track_range.recording.video.source_name import SourceName
 from track_range.recording.video.utc import parsed_utc

@@ -14,8 +14,8 @@ from tests.track_range.results.moving_frames import frame, info
 from track_range.recording.speed_source import _named
 from track_range.recording.telemetry.found import named_telemetry
 from track_range.recording.telemetry.sidecars.reading import read_sidecar
-from track_range.recording.telemetry.signal_choice import ANY_SIGNAL, SignalChoice
 from track_range.recording.telemetry.speed_files import EgoSpeedError
+from track_range.recording.telemetry.tracks.signal_choice import ANY_SIGNAL, SignalChoice
 from track_range.recording.telemetry.tracks.track import TelemetryError
 from track_range.results.writers import OpenWriters
 from track_range.run.options.settings import RunSettings

@@ -24,6 +24,7 @@ from track_range.recording.telemetry.sidecars.reading import read_sidecar
 from track_range.recording.telemetry.sidecars.speed_csv import log_table
 from track_range.recording.telemetry.sidecars.time_texts import times_of_texts
 from track_range.recording.telemetry.tracks.samples import unit_in
+from track_range.recording.telemetry.tracks.signal_choice import ANY_SIGNAL
 from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 
 T = np.arange(20.0)
@@ -452,7 +453,7 @@ def test_folder_of_a_bag_as_speed(tmp_path: Path) -> None:
             message = types[kind](types["std_msgs/msg/Header"](time, "gps"), twist)
             stored = bytes(store.serialize_cdr(message, kind))
             writer.write(topic, int((START_S + t) * 1e9), stored)
-    source = _named(str(tmp_path / "bag"), [part()], lambda: _NO_MOTION)
+    source = _named(str(tmp_path / "bag"), [part()], lambda: _NO_MOTION, ANY_SIGNAL)
     assert source.ego is not None
     assert source.ego.time_s == pytest.approx(T)
     assert source.ego.speed_mps == pytest.approx(V)

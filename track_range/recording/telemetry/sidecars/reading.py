@@ -13,7 +13,7 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import first_line
 from track_range.foundation.registry import Registry
 from track_range.recording.telemetry.sidecars.sidecar import Sidecar
-from track_range.recording.telemetry.signal_choice import ANY_SIGNAL, SignalChoice
+from track_range.recording.telemetry.tracks.signal_choice import ANY_SIGNAL, SignalChoice
 from track_range.recording.telemetry.tracks.track import TelemetryError, TelemetryTrack
 
 # speeds beside a video that are no telemetry: a table, KITTI's folder

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from track_range.recording.telemetry.signal_choice import SignalChoice
+from track_range.recording.telemetry.tracks.signal_choice import SignalChoice
 from track_range.recording.telemetry.tracks.track import TelemetryTrack
 
 # telemetry of a file for the video with a name and a length in s, 0 = unknown

@@ -26,9 +26,9 @@ from track_range.foundation.files.input_files import (
 )
 from track_range.recording.telemetry.sidecars.sidecar import Sidecar, of_file
 from track_range.recording.telemetry.sidecars.speed_csv import NOT_SPEED
-from track_range.recording.telemetry.signal_choice import ANY_SIGNAL, SignalChoice
 from track_range.recording.telemetry.tracks.positions import MPS_PER_UNIT
 from track_range.recording.telemetry.tracks.samples import unit_in
+from track_range.recording.telemetry.tracks.signal_choice import ANY_SIGNAL, SignalChoice
 from track_range.recording.telemetry.tracks.track import (
     Clock,
     TelemetryError,
