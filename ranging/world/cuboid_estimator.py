@@ -12,9 +12,12 @@ distance scale alike, is compared with the measured one, also in w_k:
     nu = log width - offset - log width(yaw_k, x_k)       S = H P H' + R       w_k *= N(nu; 0, S)
 
 Two visible sides and the change of the width while the view changes so measure yaw, width and length.
-A side that is cut or hidden only shows that the object is at least as wide as its box. s has the
-variance of the distance, of shapes that are no cuboids, and of the yaw within a step of the grid;
-it is one error of all frames with the same view, and decays with the change of bearing and distance:
+Where a side is cut or hidden, the box only shows that the object is at least as wide:
+
+    w_k *= Phi(-nu / S^1/2)^(1/n),    and x_k moves only where nu > 0       n: frames with the same errors
+
+s has the variance of the distance, of shapes that are no cuboids, and of the yaw within a step of the
+grid; it is one error of all frames with the same view, and decays with the change of bearing and distance:
 
     s' = a s,    a = exp(-|change of bearing| / b - |change of log d| / c)
 
@@ -37,7 +40,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import log_ndtr, ndtr
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
@@ -345,10 +348,13 @@ class CuboidEstimator:
         nu = log_width - sizes.offset[class_id, 1] - box.log_width[0]
         row = H_w * cells.table[1] + H_l * cells.table[2] + H_s * cells.table[_S]
         S = H_w * row[1] + H_l * row[2] + H_s * row[_S] + boxes.noise_variance[:, 0] * same_edges
-        counts = is_seen & _IS_RIGID[class_id] & (~seen.is_part | (nu > 0))
+        counts = is_seen & _IS_RIGID[class_id]
         chi2 = nu * nu / S
-        gain = np.where(counts, 1.0 / (S * np.maximum(chi2 / _MAX_NU**2, 1.0)), 0.0)
-        log_likelihood = np.where(counts, np.minimum(chi2, _MAX_CHI2) + np.log(S), 0.0) / -2
+        moves = counts & (~seen.is_part | (nu > 0))
+        gain = np.where(moves, 1.0 / (S * np.maximum(chi2 / _MAX_NU**2, 1.0)), 0.0)
+        exactly = (np.minimum(chi2, _MAX_CHI2) + np.log(S)) / -2
+        at_least = np.maximum(log_ndtr(-nu / np.sqrt(S)), _MAX_CHI2 / -2) / same_edges
+        log_likelihood = counts * np.where(seen.is_part, at_least, exactly)
         corrected = cells.corrected(row, nu, gain)
 
         # Height, with the information of the distance that is not from the size.

@@ -149,6 +149,14 @@ def test_a_cut_box_shows_no_shorter_car():
     assert cuboids.centre_m[0, 1] == pytest.approx(HEIGHT_M - 0.75, abs=0.15)  # by the top edge
 
 
+def test_a_cut_box_leaves_the_yaw_open():
+    scene = Scene([4.4, 1.7, 1.5])
+    for z in np.arange(4.5, 6.5, 0.1):  # overtakes, close to the camera; the right border cuts it
+        cuboids = scene.step([3.3, z], 0.0)
+    assert apart_deg(cuboids.yaw_deg[0], 0.0) < 5.0
+    assert cuboids.yaw_sigma_deg[0] > 20.0
+
+
 def test_a_predicted_box_teaches_nothing():
     scene = Scene([4.2, 1.7, 1.5])
     for _ in range(5):
