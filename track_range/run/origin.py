@@ -59,7 +59,7 @@ class Origin(Reports):
         return Provenance.of_inputs(self.detected(), hashed)
 
     @property
-    def _mounting(self) -> Mounting | None:
+    def mounting(self) -> Mounting | None:
         """Where the view is in the vehicle, and where it looks; None = unknown."""
         opened = self.opened
         return opened.recording.calibration.view_mounting(opened.settings.mounting)
@@ -88,7 +88,7 @@ class Origin(Reports):
             "principal_point_px": [camera.cx_px, camera.cy_px],
             "baseline_m": recording.calibrated_rig.baseline_m if recording.calibrated_rig else None,
             "image_size_px": list(recording.size_px),
-            "mount": [] if (mounting := self._mounting) is None else list(mounting.parts),
+            "mount": [] if (mounting := self.mounting) is None else list(mounting.parts),
             "fps": recording.fps,
             "utc": None if recording.utc is None else recording.utc.summary(),
             "versions": _versions(),
@@ -106,7 +106,7 @@ class Origin(Reports):
             start_utc_s=None if recording.utc is None else recording.utc.start_s,
             provenance=self.provenance,
             notes=tuple(notes),
-            mounting=self._mounting,
+            mounting=self.mounting,
             overlay=overlay,
             recorded_boxes=recording.calibration.rectifier.recorded_boxes,
         )

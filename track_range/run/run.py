@@ -304,7 +304,8 @@ class Run:
         """Process all frames and write tracks.csv, mot.txt, overlay.mp4, summary.json and the other
         files to `folder`.
 
-        After an iteration all files except the videos are written, from the rows.
+        After an iteration all files except the videos are written, from the rows. They do not have
+        the poses of the camera: poses.csv, run_gt.osi and run.xosc are then empty.
 
         Raises:
             OutputError: a file cannot be written.
@@ -328,7 +329,11 @@ class Run:
             output.start(session, has_videos=False)
             table = rows.table.to_rows(is_rounded=False)
             for result in frames_of_rows(
-                table, rows.frame_index, rows.methods, session.recording.videos[0].fps
+                table,
+                rows.frame_index,
+                rows.methods,
+                session.recording.videos[0].fps,
+                mounting=session.origin.mounting,
             ):
                 output.write(result)
             self._finish(output)

@@ -314,8 +314,8 @@ def _track(
     n_missing = int(np.isnan(values).sum())
     if n_missing == len(values):
         raise TelemetryError(
-            f"{path}: expected values of {signal.place}, found {counted(n_missing, 'sample')} "
-            "without a valid one."
+            f"{path}: expected values of {signal.place}, found none that is valid in "
+            f"{counted(len(values), 'sample')}."
         )
     said = [f"the speed is {signal.place} in {unit}.", *notes]
     if n_missing:
