@@ -38,6 +38,13 @@ class Case:
 
 CASES = (
     Case(
+        name="box_json_of_others",
+        file="openlabel.json",
+        n_boxes=1,
+        first=(0, 0, "car"),
+        last=(0, 0, "car"),
+    ),
+    Case(
         name="box_boxmot9",
         file="tracks.txt",
         n_boxes=30,
@@ -176,7 +183,6 @@ REFUSED = {
     "box_coco_cvat_rotation/coco.json": "expected upright boxes, found the rotation 60.0",
     "box_supervisely_obb/frame_0.json": "expected upright boxes, found the rotation 1.2",
     "box_json_of_others/datumaro.json": "found a data set of Datumaro",
-    "box_json_of_others/openlabel.json": "found labels of ASAM OpenLABEL",
     "box_scalabel_two_videos/two.json": "expected the images of one video, found 2: a, b",
 }
 
