@@ -147,6 +147,7 @@ def test_valid_along_the_path_without_gaps(tmp_path, schema):
             (-0.5, [2, 1, 0, -1]),
         ),
         ([users(left_m=3.2, parked=1.0)], (0.5, [0, -1])),
+        ([users(left_m=-3.2, heading_rad=math.pi, parked=math.nan)], (0.5, [0, -1])),
         ([users(left_m=3.2, class_id=PERSON)], (0.5, [0, -1])),
         ([users(left_m=3.2, heading_rad=math.pi / 2)], (0.5, [0, -1])),
         ([users(left_m=3.2)[:4]], (0.5, [0, -1])),

@@ -171,3 +171,22 @@ def test_box_of_the_ego_vehicle_is_where_the_mounting_states_it(tmp_path):
     root = root_of(written(tmp_path, [moved(0)], mounting=mounting))
     centre = root.find("Entities/ScenarioObject[@name='ego']//Center").attrib
     assert centre == {"x": "-0.10", "y": "0.50", "z": "0.75"}
+
+
+def test_vehicles_whose_state_is_unknown_make_no_lanes(tmp_path):
+    """Speeds of new tracks are rough: that of a parked car may point backwards."""
+    lanes = {}
+    for state in (float(MOTION_STATES.index("oncoming")), math.nan):
+        frames = [moved(index, x_m=(70.0 - index, 60.0)) for index in range(30)]
+        motions = [replace(each.motion, state=np.array([state, math.nan])) for each in frames]
+        boxes = [
+            with_unknown(cuboids(world_m=[70.0 - i, 3.5, math.nan], yaw_deg=180.0))
+            for i in range(30)
+        ]
+        given = [
+            changed(f, motion=m, cuboids=b) for f, m, b in zip(frames, motions, boxes, strict=True)
+        ]
+        written(tmp_path, given)
+        road = root_of(tmp_path / "run.xodr")
+        lanes[math.isnan(state)] = [int(lane.get("id")) for lane in road.iter("lane")]
+    assert lanes == {False: [1, 0, -1], True: [0, -1]}

@@ -216,7 +216,9 @@ def _rows(result: FrameResult, pose: EgoPose) -> FloatArray:
     motion, cuboids = result.motion, result.cuboids
     x_m, y_m = cuboids.world_m[:, :2].T
     heading_rad = np.radians(cuboids.yaw_deg) + pose.heading_rad
-    is_parked = motion.state == MOTION_STATES.index("parked")
+    is_parked = np.where(
+        np.isnan(motion.state), math.nan, motion.state == MOTION_STATES.index("parked")
+    )
     place = (np.full(n, result.time_s), x_m, y_m, heading_rad, cuboids.front_known)
     known = (result.safety.gap_m, result.warnings.path_offset_m, motion.speed_mps)
     identity = (is_parked, tracks.track_id, tracks.class_id)
@@ -231,7 +233,7 @@ def _placed(rows: FloatArray) -> FloatArray:
     to the last known, before it to the first.
     """
     time_s, x_m, y_m, heading_rad, front_known, is_parked = rows[:, :6].T
-    if is_parked.mean() > 0.5:
+    if (is_parked == 1).mean() > 0.5:
         x_m, y_m = np.full_like(x_m, np.median(x_m)), np.full_like(y_m, np.median(y_m))
         heading_rad = np.full_like(x_m, mean_axis_rad(heading_rad))
         return np.stack([time_s, x_m, y_m, heading_rad], axis=1)

@@ -28,9 +28,9 @@ def ego_centre_m(mounting: Mounting | None) -> tuple[float, float]:
 class Trajectories:
     """Poses of the ego vehicle and rows of the tracks in the frame `map`.
 
-    A row has time, x, y and heading of the cuboid, whether its front is known, whether parked, track
-    ID, class, gap to the front of the ego vehicle, lateral offset from its path, speed over ground,
-    speed of the ego vehicle, and length, width and height with their sigmas.
+    A row has time, x, y and heading of the cuboid, whether its front is known, whether parked (NaN =
+    unknown), track ID, class, gap to the front of the ego vehicle, lateral offset from its path,
+    speed over ground, speed of the ego vehicle, and length, width and height with their sigmas.
     """
 
     ego: FloatArray  # (N, 4) time, x, y and heading
