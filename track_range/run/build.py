@@ -417,7 +417,7 @@ def warm_up(options: PipelineOptions, *, is_pair: bool) -> None:
             "sgbm": False,
             "reid": None,
             "lanes": "classical",
-            "tracker": "deepsort",
+            "tracker": "road",
             "ground": None,
             "methods": (),
             "show_only": (),

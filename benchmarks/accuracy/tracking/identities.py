@@ -75,7 +75,7 @@ class _Recorder:
     option("--ego-speed", default="auto", help="as of a run"),
     option("--detector", default="road", help="as of a run"),
     option("--far-pass", type=int, help="as of a run"),
-    option("--trackers", default=("deepsort", "sort"), help="trackers by name"),
+    option("--trackers", default=("road", "deepsort", "sort"), help="trackers by name"),
 )
 def identities(options: Namespace) -> Figures:
     figures: Figures = {}

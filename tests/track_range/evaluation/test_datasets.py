@@ -381,6 +381,17 @@ def test_damaged_tables(tmp_path, file, content, message):
 def test_other_files_of_kitti360(tmp_path):
     folder = write_kitti360(tmp_path / "k")
     settings = ConvertSettings.of({"data": "kitti360", "source": folder, "out": tmp_path / "out"})
+    convert(settings)
+    place = folder / "calibration/perspective.txt"
+    left = place.read_text()
+    right = left.replace(" 0 0 ", f" {-0.6 * F_PX} 0 ", 1).replace("_00", "_01")
+    place.write_text(left + right)  # 0.6 m beside the camera whose poses are given
+    convert(settings.model_copy(update={"camera": "image_01", "out": tmp_path / "right"}))
+    left_m, right_m = (
+        np.loadtxt(next((tmp_path / out / "label_02").iterdir()), usecols=[13, 15])[0]
+        for out in ("out", "right")
+    )
+    np.testing.assert_allclose(right_m, left_m - [0.6, 0.0], atol=1e-3)
     boxes = next((folder / "data_3d_bboxes").rglob("*.xml"))
     boxes.write_text('<?xml version="1.0"?><!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>')
     with pytest.raises(DatasetError, match="document type"):
@@ -395,6 +406,22 @@ def test_tables_of_nuscenes_with_other_keys(tmp_path):
     (folder / "v1.0-mini/scene.json").write_text('[{"token": "s"}]')
     with pytest.raises(DatasetError, match=r"expected the files of nuscenes.*'name'"):
         convert(ConvertSettings.of({"data": "nuscenes", "source": folder, "out": tmp_path / "o"}))
+
+
+def test_a_drive_without_all_images_has_no_labels(tmp_path):
+    folder, out = write_tables(tmp_path / "drive"), tmp_path / "out"
+    settings = ConvertSettings.of({"data": "waymo-like", "source": folder, "out": out})
+    head, *rows = (folder / "frames.csv").read_text().splitlines()
+    for images, message in ((["a.jpg"], "for each of"), ([], r"absent\.jpg: no such file")):
+        names = images + (len(rows) - len(images)) * ["" if images else "absent.jpg"]
+        lines = [head, *(row + name for row, name in zip(rows, names, strict=True))]
+        (folder / "frames.csv").write_text("\n".join(lines) + "\n")
+        with pytest.raises(DatasetError, match=message):
+            convert(settings)
+        assert not (out / "label_02").exists()
+    (folder / "frames.csv").unlink()
+    with pytest.raises(DatasetError, match=r"frames\.csv: no such file; expected a table with"):
+        convert(settings)
 
 
 def test_unknown_camera(tmp_path):

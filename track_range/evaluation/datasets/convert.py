@@ -29,7 +29,7 @@ from track_range.evaluation.datasets import av2, kitti360, nuscenes, pandaset, t
 from track_range.evaluation.datasets.drive import DatasetError, LabelledDrive
 from track_range.evaluation.motion.labelled_motion import camera_motion, track_slopes
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.foundation.files.input_files import counted, shortened
+from track_range.foundation.files.input_files import check_regular, counted, shortened
 from track_range.foundation.files.output_files import make_folder, write_text
 from track_range.foundation.schemas.options import Options, option
 from track_range.ranging.truth.label_classes import size_class_of
@@ -118,7 +118,6 @@ def convert(settings: ConvertSettings) -> list[str]:
     be written.
     """
     read, usual = _READERS[settings.data]
-    make_folder(settings.out)
     drives = read(settings.source, settings.camera or usual)
     try:
         lines = [_written(drive, settings.out) for drive in drives]
@@ -136,13 +135,19 @@ def convert(settings: ConvertSettings) -> list[str]:
 
 
 def _written(drive: LabelledDrive, out: Path) -> str:
-    """Write all files of a drive, and say what they hold."""
+    """Write all files of a drive, the labels last, and say what they hold."""
     name, time_s, labels = drive.name, drive.time_s - drive.time_s[0], _labels(drive)
     at = (labels["frame"], labels["track"], labels["type"])
-    for folder in ("label_02", "label_shape"):
-        columns = [*at, labels["truncated"], labels["occluded"], labels["alpha_rad"]]
-        columns += [*labels[folder].T, *labels["hwl_m"].T, *labels["bottom_m"].T, labels["yaw_rad"]]
-        write_text(_file(out, folder, f"{name}.txt"), _text(_LABEL, *columns))
+    if len(drive.images) not in (0, len(time_s)):
+        raise DatasetError(
+            f"{name}: expected an image for each of {len(time_s)} frames, or none, found "
+            f"{len(drive.images)}."
+        )
+    for frame, image in enumerate(drive.images):
+        check_regular(image, DatasetError, f"the image of frame {frame}")
+        shutil.copyfile(image, _file(out, name, f"{frame:06d}{image.suffix}"))
+    if drive.images:
+        write_text(out / name / "times.txt", _text("{:.6f}", time_s))
     visible = (1 - labels["truncated"]) * (1 - labels["hidden"])
     columns = [*labels["label_shape"].T, labels["distance_m"], visible]
     truth = _text(_TRUTH, *at, *columns, labels["closing_mps"]).replace("nan", "")
@@ -154,10 +159,10 @@ def _written(drive: LabelledDrive, out: Path) -> str:
     ground_mps = np.hypot(speed_mps, right_mps)
     rows = np.arange(len(time_s)), time_s, drive.time_s, speed_mps, ground_mps, -yaw_rad_s
     write_text(_file(out, "ego", f"{name}.csv"), _EGO_HEAD + _text(_EGO, *rows))
-    for frame, image in enumerate(drive.images):
-        shutil.copyfile(image, _file(out, name, f"{frame:06d}{image.suffix}"))
-    if drive.images:
-        write_text(out / name / "times.txt", _text("{:.6f}", time_s))
+    for folder in ("label_02", "label_shape"):
+        columns = [*at, labels["truncated"], labels["occluded"], labels["alpha_rad"]]
+        columns += [*labels[folder].T, *labels["hwl_m"].T, *labels["bottom_m"].T, labels["yaw_rad"]]
+        write_text(_file(out, folder, f"{name}.txt"), _text(_LABEL, *columns))
     n_objects = len(np.unique(labels["track"]))
     return (
         f"{name}: {counted(len(time_s), 'frame')}, {counted(len(labels['frame']), 'label')} of "
@@ -171,7 +176,7 @@ def _text(pattern: str, *columns: Iterable[Any]) -> str:
 
 
 def _file(out: Path, folder: str, name: str) -> Path:
-    (out / folder).mkdir(exist_ok=True)
+    make_folder(out / folder)
     return out / folder / name
 
 

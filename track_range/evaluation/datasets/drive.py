@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.errors import UserError
-from track_range.foundation.files.input_files import readable
+from track_range.foundation.files.input_files import check_regular, readable
 from track_range.stereo.geometry.camera import PinholeCamera
 
 POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
@@ -51,6 +51,7 @@ def columns_of(path: Path, names: Sequence[str]) -> dict[str, npt.NDArray[Any]]:
     from pyarrow import ArrowException, csv, feather, parquet
 
     single = csv.ReadOptions(use_threads=False)
+    check_regular(path, DatasetError, f"a table with the columns {', '.join(names)}")
     with readable(path, DatasetError):
         try:
             if path.suffix == ".csv":

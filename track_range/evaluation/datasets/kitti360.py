@@ -25,7 +25,7 @@ def read(folder: Path, camera_name: str) -> Iterator[LabelledDrive]:
     place = folder / "calibration/perspective.txt"
     text = read_text(place, DatasetError, "KITTI-360's calibration")
     lens = dict(line.split(":", 1) for line in text.splitlines() if ":" in line)
-    P = _numbers(lens.get(f"P_rect_{camera_name[-2:]}", ""), 4, place).tolist()
+    P = _numbers(lens.get(f"P_rect_{camera_name[-2:]}", ""), 4, place)
     width_px, height_px = _numbers(lens.get(f"S_rect_{camera_name[-2:]}", ""), 2, place)[0].tolist()
     for file in sorted((folder / "data_3d_bboxes").rglob("*.xml")):
         place = folder / "data_poses" / file.stem / "cam0_to_world.txt"
@@ -33,13 +33,16 @@ def read(folder: Path, camera_name: str) -> Iterator[LabelledDrive]:
             read_text(place, DatasetError, "poses", max_bytes=MAX_TABLE_BYTES), 17, place
         )
         number, pose = poses[:, 0], poses[:, 1:].reshape(-1, 4, 4)
+        pose[:, :3, 3] -= pose[:, :3, :3] @ np.linalg.solve(P[:, :3], P[:, 3])  # of this camera
         cuboids = [one for node in _nodes(file) for one in _cuboids(node, number, pose, file)]
         frame, track, kind, cuboid, lwh_m = map(list, zip(*cuboids, strict=True))
         images = folder / "data_2d_raw" / file.stem / camera_name / "data_rect"
         named = [images / f"{int(n):010d}.png" for n in number]
         yield LabelledDrive(
             name=file.stem,
-            camera=PinholeCamera(P[0][0], P[1][1], P[0][2], P[1][2], int(width_px), int(height_px)),
+            camera=PinholeCamera(
+                *P[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(), int(width_px), int(height_px)
+            ),
             time_s=number * _STEP_S,
             pose=pose,
             images=named if all(image.is_file() for image in named) else (),
