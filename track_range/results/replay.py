@@ -32,7 +32,7 @@ from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.tracks import Tracks
 
 _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
-_LEAST_ALONG = 0.1  # share of a speed along the axis, from which the part across it is known
+_LEAST_ALONG = 0.1  # fraction of a speed along the axis, from which the part across it is known
 
 
 def frames_of_rows(

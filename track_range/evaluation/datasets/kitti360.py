@@ -26,6 +26,7 @@ def read(folder: Path, camera_name: str) -> Iterator[LabelledDrive]:
     text = read_text(place, DatasetError, "KITTI-360's calibration")
     lens = dict(line.split(":", 1) for line in text.splitlines() if ":" in line)
     P = _numbers(lens.get(f"P_rect_{camera_name[-2:]}", ""), 4, place)
+    fx, fy, cx, cy = P[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
     width_px, height_px = _numbers(lens.get(f"S_rect_{camera_name[-2:]}", ""), 2, place)[0].tolist()
     for file in sorted((folder / "data_3d_bboxes").rglob("*.xml")):
         place = folder / "data_poses" / file.stem / "cam0_to_world.txt"
@@ -40,9 +41,7 @@ def read(folder: Path, camera_name: str) -> Iterator[LabelledDrive]:
         named = [images / f"{int(n):010d}.png" for n in number]
         yield LabelledDrive(
             name=file.stem,
-            camera=PinholeCamera(
-                *P[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(), int(width_px), int(height_px)
-            ),
+            camera=PinholeCamera(fx, fy, cx, cy, int(width_px), int(height_px)),
             time_s=number * _STEP_S,
             pose=pose,
             images=named if all(image.is_file() for image in named) else (),

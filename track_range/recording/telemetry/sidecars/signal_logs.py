@@ -207,10 +207,10 @@ def _chosen(path: Path, signals: Sequence[_Signal], choice: SignalChoice) -> tup
         meant = [one for one in signals if wanted in (one.name, one.place)]
     if len(meant) != 1:
         names = shortened(", ".join(one.place for one in meant or speeds or signals), _MAX_LISTED)
-        found = names if meant or speeds else f"none among {names or 'no signals'}"
+        listed = names if meant or speeds else f"none among {names or 'no signals'}"
         what = f"one signal {quoted(wanted)}" if wanted else "one signal with a unit of speed"
         raise TelemetryError(
-            f"{path}: expected {what}, found {found}; name the speed of the car with "
+            f"{path}: expected {what}, found {listed}; name the speed of the car with "
             "--speed-channel."
         )
     (signal,) = meant
