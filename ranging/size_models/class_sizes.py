@@ -9,8 +9,6 @@ from track_range.foundation.arrays import FloatArray
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.prior import YAW_DEG
 
-_LWH_OF_HWL = [2, 1, 0]  # priors have height, width, length
-
 
 @dataclass(frozen=True, slots=True)
 class ClassSizes:
@@ -22,17 +20,6 @@ class ClassSizes:
     offset: FloatArray
     scatter: FloatArray
     turn_weights: FloatArray  # (C, Y) probabilities of the angles `YAW_DEG` to the camera's axis
-
-    @property
-    def lwh_m(self) -> FloatArray:
-        """(C, 3) typical length, width and height in m."""
-        return np.asarray(np.exp(self.log_hwl)[:, _LWH_OF_HWL])
-
-    @property
-    def sigma_m(self) -> FloatArray:
-        """(C, 3) their standard deviations."""
-        log_sigma = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
-        return np.asarray(self.lwh_m * log_sigma[:, _LWH_OF_HWL])
 
     @classmethod
     def of(cls, model: object) -> "ClassSizes":

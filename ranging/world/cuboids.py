@@ -144,6 +144,6 @@ def _turn(angle_rad: float) -> FloatArray:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def wrapped_deg(deg: FloatArray) -> FloatArray:
-    """Angles from -180 to 180 degrees."""
-    return np.asarray((deg + 180.0) % 360.0 - 180.0)
+def wrapped_deg(deg: FloatArray, period_deg: float = 360.0) -> FloatArray:
+    """Angles modulo a period, from minus half of it to half of it."""
+    return np.asarray((deg + period_deg / 2) % period_deg - period_deg / 2)

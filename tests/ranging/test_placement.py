@@ -112,12 +112,12 @@ def test_ages_and_times_since_the_last_detection():
 
 def test_sizes_are_those_of_the_size_model():
     sizes = ClassSizes.of(load_curves())
-    length_m, width_m, height_m = sizes.lwh_m[2]  # cars
+    height_m, width_m, length_m = np.exp(sizes.log_hwl[2])  # cars
     assert 4.0 < length_m < 4.8
     assert 1.6 < width_m < 1.9
     assert 1.4 < height_m < 2.0
-    assert (sizes.sigma_m[2] / sizes.lwh_m[2] < 0.2).all()
-    assert np.isnan(ClassSizes.of(object()).lwh_m).all()
+    assert (np.diagonal(sizes.covariance[2]) < 0.2**2).all()
+    assert np.isnan(ClassSizes.of(object()).log_hwl).all()
 
 
 @pytest.mark.parametrize("n", [0, 1])

@@ -11,14 +11,12 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.errors import UserError
-from track_range.foundation.files.input_files import check_regular, readable
+from track_range.foundation.files.input_files import check_regular
 from track_range.stereo.geometry.camera import PinholeCamera
 
 POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 LENGTHS = ("length_m", "width_m", "height_m")
 """Names of columns of a pose and of the sizes of a cuboid."""
-
-Columns = Mapping[str, npt.NDArray[Any]]
 
 
 class DatasetError(UserError):
@@ -52,21 +50,20 @@ def columns_of(path: Path, names: Sequence[str]) -> dict[str, npt.NDArray[Any]]:
 
     single = csv.ReadOptions(use_threads=False)
     check_regular(path, DatasetError, f"a table with the columns {', '.join(names)}")
-    with readable(path, DatasetError):
-        try:
-            if path.suffix == ".csv":
-                table = csv.read_csv(path, single)
-            else:
-                table = {".feather": feather, ".parquet": parquet}[path.suffix].read_table(path)
-            return {name: table[name].to_numpy() for name in names}
-        except (ArrowException, KeyError) as error:
-            raise DatasetError(
-                f"{path}: expected the columns {', '.join(names)}, found other content "
-                f"({str(error).splitlines()[0]})."
-            ) from error
+    try:
+        if path.suffix == ".csv":
+            table = csv.read_csv(path, single)
+        else:
+            table = {".feather": feather, ".parquet": parquet}[path.suffix].read_table(path)
+        return {name: table[name].to_numpy() for name in names}
+    except (ArrowException, KeyError, OSError) as error:
+        raise DatasetError(
+            f"{path}: expected the columns {', '.join(names)}, found other content "
+            f"({str(error).splitlines()[0]})."
+        ) from error
 
 
-def stacked(table: Columns, names: Sequence[str]) -> FloatArray:
+def stacked(table: Mapping[str, npt.NDArray[Any]], names: Sequence[str]) -> FloatArray:
     """(N, K) numbers of K columns."""
     return np.column_stack([table[name].astype(np.float64) for name in names])
 

@@ -19,7 +19,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.bootstrap import Resamples, Statistic, figures_of
 from track_range.ranging.truth.errors import fraction, within_sigmas
 from track_range.ranging.world.cuboid_corners import cuboid_corners
-from track_range.ranging.world.cuboids import Cuboids
+from track_range.ranging.world.cuboids import Cuboids, wrapped_deg
 
 _SIDE_DEG = 15.0  # smallest angle between the view and the long axis at which a side is seen
 _SIDE_BELOW_M = 30.0  # distance up to which the nearest side is compared
@@ -38,15 +38,14 @@ def labelled_cuboids(
     return replace(
         Cuboids.unknown(len(bottom_m)),
         lwh_m=size_hwl_m[:, ::-1],
-        yaw_deg=_wrapped(-90.0 - np.degrees(rotation_y_rad), 360.0),
+        yaw_deg=wrapped_deg(-90.0 - np.degrees(rotation_y_rad)),
         centre_m=bottom_m - height_m * [0.0, 0.5, 0.0],
     )
 
 
 def selected(cuboids: Cuboids, rows: IntArray) -> Cuboids:
     """The cuboids with these indices."""
-    columns = {field.name: getattr(cuboids, field.name)[rows] for field in fields(Cuboids)}
-    return Cuboids(**columns)
+    return Cuboids(*(getattr(cuboids, field.name)[rows] for field in fields(Cuboids)))
 
 
 def are_sides_seen(true: Cuboids) -> BoolArray:
@@ -63,7 +62,7 @@ def cuboid_errors(
     positive = to the left.
     """
     difference_deg = measured.yaw_deg - true.yaw_deg
-    either_deg, front_deg = (_wrapped(difference_deg, period) for period in (180.0, 360.0))
+    either_deg, front_deg = (wrapped_deg(difference_deg, period) for period in (180.0, 360.0))
     stated_deg = np.where(measured.front_known, front_deg, either_deg)
     relative = measured.lwh_m / true.lwh_m - 1
     relative_sigma = measured.lwh_sigma_m / true.lwh_m
@@ -88,10 +87,6 @@ def cuboid_errors(
         "centre_m": (np.linalg.norm(offset_m, axis=1), None),
         **parts,
     }
-
-
-def _wrapped(deg: FloatArray, period: float) -> FloatArray:
-    return np.asarray((deg + period / 2) % period - period / 2)
 
 
 def _nearest_side(
@@ -128,7 +123,7 @@ def cuboid_figures(
     front is stated, and the fraction of stated fronts that are right.
     """
     is_measured = np.isfinite(measured.yaw_deg)
-    is_right = np.abs(_wrapped(measured.yaw_deg - true.yaw_deg, 360.0)) < 90.0
+    is_right = np.abs(wrapped_deg(measured.yaw_deg - true.yaw_deg)) < 90.0
     counts = {
         name: {
             "n": int(rows.sum()),
