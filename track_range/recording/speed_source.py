@@ -104,6 +104,14 @@ def open_speed(
     EgoSpeedError or TelemetryError if the number or the named file cannot be used.
     """
     source = _opened(setting, recording, mounting, choice)
+    is_log = any(path.suffix.lower() in signal_suffixes() for path in source.files)
+    if setting == AUTO and choice != ANY_SIGNAL and not is_log:
+        unused = (
+            "--speed-channel and --dbc are not used, since no log with signals "
+            f"({alternatives(signal_suffixes())}) was found beside the video; name it with "
+            "--ego-speed FILE."
+        )
+        source = replace(source, notes=(*source.notes, unused))
     if source.ego is None:
         return source
     ego = source.ego if mounting is None else source.ego.of_vehicle()

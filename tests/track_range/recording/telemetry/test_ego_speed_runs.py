@@ -22,6 +22,7 @@ from track_range.recording.recording import open_recording
 from track_range.recording.speed_source import open_speed
 from track_range.recording.telemetry.sidecars.reading import read_sidecar
 from track_range.recording.telemetry.speed_files import EgoSpeedError
+from track_range.recording.telemetry.tracks.signal_choice import SignalChoice
 from track_range.recording.telemetry.tracks.track import TelemetryError
 from track_range.stereo.geometry.mounting import Mounting
 
@@ -120,6 +121,19 @@ def test_order_of_preference(video):
     (video.parent / "drive.gpx").write_text("broken")
     assert source().source == "drive.NMEA"
     assert source().at(1.0) == pytest.approx(5.144, abs=1e-3)
+
+
+def test_signal_of_a_log_that_is_not_there(video):
+    choice = SignalChoice(name="VehicleSpeed")
+    with closing(open_recording(video, focal_px=60)) as recording:
+        assert "--speed-channel and --dbc are not used" in " ".join(
+            open_speed("auto", recording, None, choice).notes
+        )
+        (video.parent / "ego_speed.csv").write_text("time_s,speed_mps\n0,5\n10,5\n")
+        source = open_speed("auto", recording, None, choice)
+        assert "--speed-channel and --dbc are not used" in " ".join(source.notes)
+        assert source.ego.at(0.0) == 5.0
+        assert open_speed("off", recording, None, choice).notes == ()
 
 
 def test_negative_speed_of_a_drive_is_that_of_a_camera_that_looks_back(video):
