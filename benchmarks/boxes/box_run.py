@@ -34,7 +34,6 @@ from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.methods.method import MethodContext, Ranger
 from track_range.ranging.methods.patch_stereo import STEREO
 from track_range.ranging.methods.size_regression import MONO
-from track_range.ranging.size_models.class_sizes import ClassSizes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -108,7 +107,7 @@ def run_boxes(
         ranging=RangingStage(rangers),
         doubting=DoubtStage(),
         filtering=FilterStage(camera),
-        world=WorldStage(camera, sizes=ClassSizes.of(SIZE_MODEL)),
+        world=WorldStage(camera),
         alarming=AlarmStage(camera, warning or CollisionWarning()),
         clock=NoClock(),
     )

@@ -21,8 +21,6 @@ from track_range.stereo.geometry.mounting import Mounting
 
 # rows: x forward, y left, z up of a camera that looks along x, in its axes (right, down, forward)
 _LEVEL_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-_CERTAIN_SIGMA = 2.0  # smallest significant difference between the extents of a cuboid and a box
-_LEAST_M = 1e-6  # against a division by zero
 _PAIRS = ([0, 0, 1], [1, 2, 2])  # of axes: xy, xz, yz
 
 
@@ -102,29 +100,6 @@ class Cuboids:
         first, second = _PAIRS
         R[:, first, second] = R[:, second, first] = self.centre_correlation
         return np.asarray(R * self.centre_sigma_m[:, :, None] * self.centre_sigma_m[:, None, :])
-
-    @property
-    def half_across_m(self) -> tuple[FloatArray, FloatArray]:
-        """(N,) half the extents of the footprints across the optical axis, and their standard
-        deviations.
-        """
-        yaw_rad, sigma_rad = np.radians(self.yaw_deg), np.radians(self.yaw_sigma_deg)
-        across, along = np.abs(np.sin(yaw_rad)), np.abs(np.cos(yaw_rad))
-        length_m, width_m, _ = self.lwh_m.T / 2
-        by_yaw_m = (length_m * along - width_m * across) * sigma_rad
-        by_length_m, by_width_m, _ = self.lwh_sigma_m.T / 2 * [across, along, np.zeros_like(along)]
-        sigma_m = np.hypot(by_yaw_m, np.hypot(by_length_m, by_width_m))
-        return length_m * across + width_m * along, sigma_m
-
-    def half_extents_m(self, seen_m: FloatArray) -> FloatArray:
-        """(N,) half the extents of the footprints across the optical axis, where they are known
-        well; where not, those `seen_m` of the boxes, and between both without a jump (positive-part
-        estimator of James and Stein, 1961).
-        """
-        extent_m, sigma_m = self.half_across_m
-        change_m = extent_m - seen_m
-        noise = _CERTAIN_SIGMA * sigma_m / np.fmax(np.abs(change_m), _LEAST_M)
-        return np.asarray(seen_m + np.nan_to_num(change_m * np.maximum(1 - noise**2, 0.0)))
 
     @property
     def in_camera(self) -> CuboidPlaces:

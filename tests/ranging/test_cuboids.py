@@ -1,7 +1,6 @@
 """Cuboids in the axes of the camera, the vehicle and the map."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,27 +64,3 @@ def test_unknown_cuboids_have_their_shapes(n):
     assert unknown.covariance_m2.shape == (n, 3, 3)
     assert unknown.in_vehicle(None).centre_m.shape == (n, 3)
     assert not unknown.front_known.any()
-
-
-def test_an_extent_goes_over_to_that_of_the_box_without_a_jump():
-    """Half of 4.5 x 1.8 m at 60 degrees is 2.4 m; its box, from which a part is missing, 1.2 m."""
-
-    def extent_m(yaw_deg, sigma_deg=3.0, seen_m=1.2, length_m=4.5):
-        car = replace(
-            Cuboids.unknown(1),
-            lwh_m=np.array([[length_m, 1.8, 1.5]]),
-            lwh_sigma_m=np.array([[0.2, 0.05, 0.05]]),
-            yaw_deg=np.array([yaw_deg]),
-            yaw_sigma_deg=np.array([sigma_deg]),
-        )
-        return car.half_extents_m(np.array([seen_m]))[0]
-
-    for yaw_deg in (60.0, -60.0, 120.0):  # to either side, and with the front exchanged
-        assert extent_m(yaw_deg) == pytest.approx(2.4, abs=0.05)
-    assert extent_m(90.0) == pytest.approx(2.25, abs=0.05)
-    lengths = [extent_m(30.0, sigma) for sigma in np.arange(1.0, 30.0, 0.25)]
-    assert np.diff(lengths).max() <= 0
-    assert np.diff(lengths).min() > -0.05
-    assert lengths[-1] == 1.2
-    assert extent_m(60.0, length_m=np.nan) == 1.2  # an unknown cuboid
-    assert np.isnan(extent_m(60.0, seen_m=np.nan))

@@ -146,8 +146,7 @@ MOST_STATEMENTS = {
     # corners of cuboids, and the mean cuboid of a track (18)
     # the width of the lane for summary.json (3)
     # sizes and headings of cuboids by their boxes and course (220)
-    # extents of cuboids across the path, and where they are certain (15)
-    "ranging": 10_713,  # turns as evidence of a given focal length (65), the height by the posterior (17)
+    "ranging": 10_698,  # turns as evidence of a given focal length (65), the height by the posterior (17)
     # several drives of one evaluation (4)
     # `evaluate.run` (4)
     # `check` (4)
@@ -244,8 +243,7 @@ MOST_STATEMENTS = {
     # fused methods do not read those that are only shown (4)
     # places of cuboids, one by one (12)
     # velocities for cuboids (5)
-    # extents of cuboids for the warnings (4)
-    "pipeline": 1_262,
+    "pipeline": 1_257,
     # one aligner with its states and policies (260); files of speeds (85); sidecars declared beside
     # their readers (20); kinds of names that open themselves, and their options as a type (150);
     # the estimate of a camera with its sources and what would help, apart from its effect (120),

@@ -19,7 +19,6 @@ from track_range.ranging.measurement.focal_scale import EXACT, FocalScale
 from track_range.ranging.measurement.ranges import Ranges
 from track_range.ranging.registry import methods
 from track_range.ranging.size_models.size_model import BORDER_PX, have_hidden_sides
-from track_range.ranging.world.cuboids import Cuboids
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.mounting import Mounting, looks_ahead
 from track_range.stereo.odometry.ego_motion import MAX_EGO_SIGMA_MPS, EgoMotion
@@ -61,11 +60,6 @@ class Filtered:
     def fused(self) -> FilteredRanges:
         """The motion by the fused distances."""
         return self.by_method["fused"]
-
-    def with_extents(self, cuboids: Cuboids) -> "Filtered":
-        """The same motion with the extents of the measured cuboids across the axis."""
-        half_width_m = cuboids.half_extents_m(self.lateral.half_width_m)
-        return replace(self, lateral=replace(self.lateral, half_width_m=half_width_m))
 
     def corrected(self, focal: FocalScale) -> "Filtered":
         """The motion with the true focal length, which affects only what is along the axis."""

@@ -114,9 +114,8 @@ class FramePipeline:
             moved = doubt.widened(ego, scale.focal.corrected_motion(ego.motion))
             world = self.world.update(tracks, filtered, ranges, moved, time_s, scale.focal)
         with stage("alarm"):
-            shown = filtered.with_extents(world.cuboids)
             alarms = self.alarming.update(
-                tracks, ranges["fused"], shown, approach, moved, doubt, lanes, time_s
+                tracks, ranges["fused"], filtered, approach, moved, doubt, lanes, time_s
             )
         self.doubt, self.scale = doubt, scale
         return FrameResult(
