@@ -322,6 +322,7 @@ MOST_STATEMENTS = {
     # marks of files that begin with a length (2)
     # the events of a run for its writers (4)
     # traits of boxes for cuboids (1)
+    # files without positions in the frame map (9)
     "run": 3_208,
     # a street with a bend, from which the focal length of a camera follows (25), and cameras that
     # look to any side from any place of the vehicle (24)

@@ -122,6 +122,7 @@ class RunSession:
             self.findings,
             figures,
             options.MissingDepths(self.settings, stages.ranging),
+            options.MissingPlaces(self.settings, recorded),
             *(
                 ()
                 if self.settings.static_camera

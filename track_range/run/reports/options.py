@@ -3,9 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from track_range.pipeline.ranging import RangingStage
 from track_range.recording.recording import Recording
 from track_range.recording.sources.names import source_of
+from track_range.results.rows.rows import Rows
 from track_range.run.options.detection import DetectionOptions
 from track_range.run.options.settings import RunSettings
 from track_range.run.reports.report import Reports
@@ -15,6 +18,10 @@ _OF_NETWORK = [  # options of a detector network, which recorded detections do n
     for name, field in DetectionOptions.model_fields.items()
     if field.default is None and name not in ("detector", "detections", "ignore", "names")
 ]
+
+
+# files by writer whose objects have positions in the frame `map`
+_PLACED = {"openscenario": "run.xosc", "osi-gt": "run_gt.osi"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,4 +104,22 @@ class MissingDepths(Reports):
             "depth.tar has no depths: no method of this run measures all pixels; use a calibrated "
             "pair with sgbm, --stereo-model, --depth-model with a metric network, or a recording "
             "with depth images.",
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class MissingPlaces(Reports):
+    """Files in the frame `map` of a run without any position in it, at its end."""
+
+    settings: RunSettings
+    recorded: Rows
+
+    def notes(self) -> Sequence[str]:
+        """What would show where the camera is."""
+        files = [file for name, file in _PLACED.items() if name in self.settings.write]
+        if not files or np.isfinite(self.recorded["world_x_m"]).any():
+            return ()
+        return (
+            f"{' and '.join(files)}: no road users, since the speed of the camera is not known, or "
+            "none was ranged; give --ego-speed, or --static-camera if the camera stands still.",
         )
