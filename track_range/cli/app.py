@@ -52,9 +52,8 @@ COMMANDS = {
     "export": Lazy(
         "track_range.cli.commands.export",
         "Write a finished run or a label file in another format.",
-        "Formats: parquet, mcap, rrd, openscenario, opendrive, mf4, openlabel, osi, osi-gt and osi-mcap "
-        "(runs only), kitti, coco, cvat, mot and yolo. An existing file is replaced only if it has this "
-        "format.",
+        "Labels are written as kitti, coco, cvat, mot and yolo, runs in all formats of --to. An existing "
+        "file is replaced only if it has this format.",
         (
             "track-range export drive-1 --to cvat --out drive-1.xml",
             "track-range export fixed.xml --to yolo --video drive.mp4 --images --out data",

@@ -226,6 +226,8 @@ def _plain(kind: Any) -> Any:
 def _help(field: FieldInfo) -> str:
     """Help text of an option with its default, or "(required)"."""
     text = (field.description or "").removesuffix(".")
+    if option_of(field).metavar and (choices := choices_of(field)):  # too many for a placeholder
+        text = f"{text}: {', '.join(choices)}"
     if field.is_required():
         return f"{text}." if option_of(field).is_argument else f"{text} (required)."
     value = ",".join(map(str, field.default)) if is_list(field) else field.default
