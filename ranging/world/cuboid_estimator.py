@@ -1,9 +1,11 @@
-r"""CuboidEstimator: sizes, heading and centre of the tracks, from their boxes, distances and course.
+r"""CuboidEstimator: sizes, heading and centre of the tracks, from boxes, distances and course.
 
-One filter per track (Rao-Blackwellised, Murphy, NIPS 1999): its yaw is on a grid of directions fixed
-to the world, and given each direction, the log sizes and the error of the distance are Gaussian:
+One filter per track (Rao-Blackwellised, Murphy, NIPS 1999): its yaw is on a grid of directions
+fixed to the world, and given each direction, the log sizes and the error of the distance are
+Gaussian:
 
-    p(yaw, x) = sum_k w_k [f_k | b_k] N(x; x_k, P_k)      x = (log h, log w, log l, s)      f, b: front, back
+    p(yaw, x) = sum_k w_k [f_k | b_k] N(x; x_k, P_k)      x = (log h, log w, log l, s)
+                                                          f, b: probabilities of front and back
 
 The cuboid of (yaw_k, x_k), whose surface is at the distance d e^s on the ray through the box, has a
 box (`box_of_cuboid`). Its width, with derivatives (H_w, H_l) and -(H_w + H_l) by s, since sizes and
@@ -11,13 +13,15 @@ distance scale alike, is compared with the measured one, also in w_k:
 
     nu = log width - offset - log width(yaw_k, x_k)       S = H P H' + R       w_k *= N(nu; 0, S)
 
-Two visible sides and the change of the width while the view changes so measure yaw, width and length.
-Where a side is cut or hidden, the box only shows that the object is at least as wide:
+Two visible sides and the change of the width while the view changes so measure yaw, width and
+length. Where a side is cut or hidden, the box only shows that the object is at least as wide:
 
-    w_k *= Phi(-nu / S^1/2)^(1/n),    and x_k moves only where nu > 0       n: frames with the same errors
+    w_k *= Phi(-nu / S^1/2)^(1/n),    and x_k moves only where nu > 0
+                                      n: number of frames with the same errors
 
-s has the variance of the distance, of shapes that are no cuboids, and of the yaw within a step of the
-grid; it is one error of all frames with the same view, and decays with the change of bearing and distance:
+s has the variance of the distance, of shapes that are no cuboids, and of the yaw within a step of
+the grid; it is one error of all frames with the same view, and decays with the change of bearing
+and distance:
 
     s' = a s,    a = exp(-|change of bearing| / b - |change of log d| / c)
 
@@ -26,11 +30,12 @@ class, 1 / sigma_d^2 - 1 / sigma_h^2, is not from the height itself. It counts o
 
 The velocity over ground v, of covariance V, points along the yaw, unless the object is at rest:
 
-    L(yaw) = r + (1 - r) 2 Phi(m / sigma_m) N(v; 0, V + f^2 a a') / N(v; 0, V)       a: the direction of the yaw
+    L(yaw) = r + (1 - r) 2 Phi(m / sigma_m) N(v; 0, V + f^2 a a') / N(v; 0, V)
 
-where m is the speed along a, and f that of free traffic. So there is no threshold of speed, and the
-heading stays when an object stops. The yaw of moving objects is a random walk, in which the moments
-of x are mixed between neighbours (IMM; Blom and Bar-Shalom, IEEE TAC 1988).
+where a is the direction of the yaw, m the speed along a, and f that of free traffic. So there is no
+threshold of speed, and the heading stays when an object stops. The yaw of moving objects is a random
+walk, in which the moments of x are mixed between neighbours (IMM; Blom and Bar-Shalom, IEEE TAC
+1988).
 """
 
 from __future__ import annotations

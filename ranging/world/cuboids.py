@@ -71,7 +71,9 @@ class Cuboids:
 
     @classmethod
     def of(cls, *, centre_m: FloatArray, covariance_m2: FloatArray, **columns: Any) -> Cuboids:
-        """The cuboids with these (N, 3, 3) covariances of the centres, in the camera's axes only."""
+        """The cuboids with these (N, 3, 3) covariances of the centres, in the camera's axes
+        only.
+        """
         sigma_m = np.sqrt(np.diagonal(covariance_m2, axis1=1, axis2=2))
         first, second = _PAIRS
         correlation = covariance_m2[:, first, second] / (sigma_m[:, first] * sigma_m[:, second])
@@ -84,14 +86,16 @@ class Cuboids:
             world_m=np.full_like(centre_m, np.nan),
         )
 
+    def select(self, rows: IntArray) -> Cuboids:
+        """The cuboids with these indices."""
+        return Cuboids(*(getattr(self, name)[rows] for name in self.__slots__))
+
     def in_rows(self, rows: IntArray, n: int) -> Cuboids:
         """These cuboids as the rows of n, of which the others are unknown."""
-        unknown = Cuboids.unknown(n)
-        columns = {}
-        for name in self.__slots__:
-            columns[name] = column = getattr(unknown, name).copy()
-            column[rows] = getattr(self, name)
-        return Cuboids(**columns)
+        place, unknown = np.full(n, len(rows)), Cuboids.unknown(1)
+        place[rows] = np.arange(len(rows))
+        both = ((getattr(self, name), getattr(unknown, name)) for name in self.__slots__)
+        return Cuboids(*(np.concatenate(columns)[place] for columns in both))
 
     @property
     def covariance_m2(self) -> FloatArray:

@@ -182,7 +182,7 @@ MOST_STATEMENTS = {
     # the command `evaluate cuboids` (17)
     # the command `convert` (8)
     # choices that are too many for a placeholder (2)
-    "cli": 2_785,
+    "cli": 2_784,
     # cameras to any side in labelled motion (16)
     # what happens in a recording, listed by eye: its file, what a warning on each row is, the end of
     # the scored part (143), several drives together, and intervals of rates (49)

@@ -11,7 +11,6 @@ from track_range.evaluation.motion.cuboid_errors import (
     cuboid_figures,
     distance_cells,
     labelled_cuboids,
-    selected,
     view_cells,
 )
 from track_range.foundation.bootstrap import Resamples
@@ -86,7 +85,7 @@ def _cuboids(rows: Rows, matched: MatchedTruth, seed: int) -> dict[str, Any]:
         return {}
     own = np.flatnonzero(np.isfinite(matched.of_scored(matched.distance_m)))
     labels = labelled_cuboids(truth.location_m, truth.kitti.size_hwl_m, truth.kitti.rotation_y_rad)
-    true, measured = selected(labels, matched.row[own]), selected(cuboids_of(rows), own)
+    true, measured = labels.select(matched.row[own]), cuboids_of(rows).select(own)
     every = np.ones(len(own), np.bool_)
     cells = {"all": every, **view_cells(true, {"all": every}), **distance_cells(true, every)}
     errors = cuboid_errors(measured, true, is_moving=measured.front_known)

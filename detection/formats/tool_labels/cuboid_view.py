@@ -1,12 +1,14 @@
 r"""CuboidView: cuboids of ASAM OpenLABEL as one camera sees them.
 
-    val of a cuboid: x y z | rotation | sx sy sz     rotation: quaternion qx qy qz qw, or Euler angles rx ry rz
+    val of a cuboid: x y z | rotation | sx sy sz
+    rotation: quaternion qx qy qz qw, or Euler angles rx ry rz
     camera_from_box = camera_from_system · [R t]     R = Rz(rz) Ry(ry) Rx(rx)
 
-The coordinate systems are a tree. `pose_wrt_parent` and the `transforms` of a frame are matrices that take points of
-the child or source to the parent or destination; the path between two systems goes over their first common
-ancestor. Camera axes are x right, y down, z forward, as the camera matrix needs them. A camera whose z axis points up
-in a vehicle or world system has ISO 8855 axes (x forward, y left, z up), as in OSDaR23, and is turned.
+The coordinate systems are a tree. `pose_wrt_parent` and the `transforms` of a frame are matrices
+that take points of the child or source to the parent or destination; the path between two systems
+goes over their first common ancestor. Camera axes are x right, y down, z forward, as the camera
+matrix needs them. A camera whose z axis points up in a vehicle or world system has ISO 8855 axes (x
+forward, y left, z up), as in OSDaR23, and is turned.
 """
 
 from __future__ import annotations
@@ -74,7 +76,7 @@ class CuboidView:
         return None
 
     def _camera_from(self, system: str, steps: Steps) -> FloatArray | None:
-        """(4, 4) matrix from a coordinate system to the camera; None = the file does not state it."""
+        """(4, 4) matrix from a coordinate system to the camera; None = the file states none."""
         above, others = self._ancestors(self.name, steps), self._ancestors(system, steps)
         common = next((name for name in others if name in above), None)
         if common is None:
@@ -89,7 +91,7 @@ class CuboidView:
         return np.asarray(axes @ np.linalg.inv(above[common]) @ others[common])
 
     def _ancestors(self, name: str, steps: Steps) -> dict[str, FloatArray]:
-        """The matrices (4, 4) from a system to itself, and to its ancestors whose poses are known."""
+        """The matrices (4, 4) from a system to itself, and to ancestors whose poses are known."""
         total: FloatArray = np.eye(4)
         ancestors = {name: total}
         while (parent := self.systems.get(name, {}).get("parent")) and parent not in ancestors:
@@ -138,7 +140,7 @@ class SeenCuboid:
 
 
 def steps_of(transforms: Mapping[str, Mapping[str, Any]]) -> Steps:
-    """The `transforms` of a frame, and their inverses; KeyError or ValueError for invalid values."""
+    """The `transforms` of a frame and their inverses; KeyError or ValueError for invalid values."""
     stated = {
         (step["src"], step["dst"]): _matrix(step["transform_src_to_dst"])
         for step in transforms.values()

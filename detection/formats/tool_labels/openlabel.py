@@ -2,14 +2,17 @@
 
     {"openlabel": {
       "metadata": {"schema_version": "1.0.0"},
-      "coordinate_systems": {NAME: {type, parent, pose_wrt_parent}}, "streams": {NAME: {type, uri, stream_properties}},
+      "coordinate_systems": {NAME: {type, parent, pose_wrt_parent}},
+      "streams": {NAME: {type, uri, stream_properties}},
       "objects": {UID: {name, type, frame_intervals, object_data}},
       "frames": {NUMBER: {"frame_properties": {timestamp, transforms, streams},
-                          "objects": {UID: {"object_data": {"bbox": [{name, val, coordinate_system, attributes}]}}}}}}}
+                          "objects": {UID: {"object_data": {
+                            "bbox": [{name, val, coordinate_system, attributes}]}}}}}}}
 
-`val` of a `bbox` is centre x, y, width and height in pixels, where the left edge of the image is 0. The distance is
-that of the attribute `distance_m`, as run.openlabel.json has it, else the one at which the ray through the middle of
-the box first meets the `cuboid` of the object. In a file without 2-D boxes, the boxes are the outlines of the cuboids.
+`val` of a `bbox` is centre x, y, width and height in pixels, where the left edge of the image is 0.
+The distance is that of the attribute `distance_m`, as run.openlabel.json has it, else the one at
+which the ray through the middle of the box first meets the `cuboid` of the object. In a file without
+2-D boxes, the boxes are the outlines of the cuboids.
 The camera of a box is its `coordinate_system`, or its `stream` as in files of Kognic and VisionAI.
 """
 

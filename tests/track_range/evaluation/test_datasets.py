@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 import track_range as tr
 from track_range.evaluation.datasets.convert import ConvertSettings, convert
 from track_range.evaluation.datasets.drive import DatasetError
+from track_range.foundation.errors import UsageError
 
 N_FRAMES, START_S = 14, 1_600_000_000.0
 F_PX, CX_PX, CY_PX, SIZE_PX = 500.0, 320.0, 180.0, (640, 360)
@@ -408,6 +409,15 @@ def test_tables_of_nuscenes_with_other_keys(tmp_path):
         convert(ConvertSettings.of({"data": "nuscenes", "source": folder, "out": tmp_path / "o"}))
 
 
+def test_an_image_of_nuscenes_is_missing(tmp_path):
+    """It is named, and does not make a drive without images."""
+    folder = write_nuscenes(tmp_path / "n")
+    images(folder / "samples/CAM_FRONT", ["0.jpg"])
+    given = {"data": "nuscenes", "source": folder, "out": tmp_path / "o"}
+    with pytest.raises(DatasetError, match=r"expected an image for each of .* found 1"):
+        convert(ConvertSettings.of(given))
+
+
 def test_a_drive_without_all_images_has_no_labels(tmp_path):
     folder, out = write_tables(tmp_path / "drive"), tmp_path / "out"
     settings = ConvertSettings.of({"data": "waymo-like", "source": folder, "out": out})
@@ -430,6 +440,12 @@ def test_unknown_camera(tmp_path):
     with pytest.raises(
         DatasetError, match=r"found ring_front_center; give one of them with --camera"
     ):
+        convert(ConvertSettings.of(given))
+
+
+def test_tables_have_a_single_camera(tmp_path):
+    given = {"data": "waymo-like", "source": tmp_path, "out": tmp_path / "out", "camera": "FRONT"}
+    with pytest.raises(UsageError, match="--camera FRONT: expected no camera with waymo-like"):
         convert(ConvertSettings.of(given))
 
 

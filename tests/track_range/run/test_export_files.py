@@ -423,7 +423,8 @@ def test_scenario_with_its_road(run: Path, tmp_path: Path, cli: Cli) -> None:
     poses = "frame,time_s,x_m,y_m,heading_deg,x_sigma_m,y_sigma_m,heading_sigma_deg\n"
     poses += "".join(f"{i},{i / 10},{i}.0,0.0,0.0,{i / 100},0.0,0.1\n" for i in range(40))
     (run / "poses.csv").write_text(poses)
-    assert cli("export", run, "--to", "opendrive", "--out", road)[0] == 0
+    status, text, _ = cli("export", run, "--to", "opendrive", "--out", road)
+    assert (status, "boxes" in text, road.name in text) == (0, False, True)
     alone = road.read_text()
     assert cli("export", run, "--to", "openscenario", "--out", out)[0] == 0
     assert 'filepath="drive.xodr"' in out.read_text()

@@ -11,13 +11,10 @@ from track_range.run.export.export import ExportSettings, export
 def _export(settings: ExportSettings) -> None:
     exported = export(settings)
     print_notes(console, exported.notes)
-    if exported.n_scenarios is not None:
-        print_line(console, f"Written: {settings.out}, {counted(exported.n_scenarios, 'scenario')}")
-        return
+    counts = ((exported.n_boxes, "box", "boxes"), (exported.n_scenarios, "scenario", "scenarios"))
+    written = [f", {counted(n, one, several)}" for n, one, several in counts if n is not None]
     images = f" and {counted(exported.n_images, 'image')}" if settings.images else ""
-    print_line(
-        console, f"Written: {settings.out}, {counted(exported.n_boxes, 'box', 'boxes')}{images}"
-    )
+    print_line(console, f"Written: {settings.out}{''.join(written)}{images}")
 
 
 app = command(ExportSettings, _export)

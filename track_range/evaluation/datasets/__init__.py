@@ -1,3 +1,3 @@
-"""Data sets of others in the layout of recordings and truth that the evaluations read: one module for
-each.
+"""Data sets of others in the layout of recordings and truth that the evaluations read: one module
+for each.
 """

@@ -1,7 +1,7 @@
 """Argoverse 2: folders of logs of the sensor data set.
 
-The labels are of the lidar's times, 10 Hz; each is shown in the nearest image. A log without images has
-its labels in a camera at the lidar's times. Labels with fewer than 10 lidar points are left out.
+The labels are of the lidar's times, 10 Hz; each is shown in the nearest image. A log without images
+has its labels in a camera at the lidar's times. Labels with fewer than 10 lidar points are left out.
 """
 
 from collections.abc import Iterator
@@ -14,9 +14,9 @@ from track_range.evaluation.datasets.drive import (
     POSE,
     DatasetError,
     LabelledDrive,
-    columns_of,
     poses_at,
     poses_of,
+    read_columns,
     stacked,
 )
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -28,11 +28,11 @@ _MIN_POINTS = 10
 
 def read(folder: Path, camera_name: str) -> Iterator[LabelledDrive]:
     """The drive of one log; DatasetError if a file is missing or damaged."""
-    labels = columns_of(folder / "annotations.feather", _LABEL)
+    labels = read_columns(folder / "annotations.feather", _LABEL)
     sweep_ns = np.unique(labels["timestamp_ns"])
-    ego = columns_of(folder / "city_SE3_egovehicle.feather", ("timestamp_ns", *POSE))
-    lens = columns_of(folder / "calibration/intrinsics.feather", ("sensor_name", *_LENS))
-    mounts = columns_of(
+    ego = read_columns(folder / "city_SE3_egovehicle.feather", ("timestamp_ns", *POSE))
+    lens = read_columns(folder / "calibration/intrinsics.feather", ("sensor_name", *_LENS))
+    mounts = read_columns(
         folder / "calibration/egovehicle_SE3_sensor.feather", ("sensor_name", *POSE)
     )
     rows = [np.flatnonzero(table["sensor_name"] == camera_name) for table in (lens, mounts)]

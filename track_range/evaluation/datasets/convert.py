@@ -3,17 +3,18 @@
     NAME/000000.jpg ...     copies of the images, with times.txt; only of data with images
     calib/NAME.txt          rig.yaml of the camera, with its lens
     label_02/NAME.txt       KITTI tracking labels; box = outline of the projected cuboid
-    label_shape/NAME.txt    the same rows; box = outline of the rounded body in the cuboid (`_ROUNDNESS`)
+    label_shape/NAME.txt    the same rows; box = outline of the rounded body in the cuboid
     truth/NAME.csv          the boxes of label_shape with distance, visible share and closing speed
     poses/NAME.txt          3 x 4 matrix from the camera to the first camera in each row
     ego/NAME.csv            times, speed along the axis of the camera, and yaw rate
 
-Boxes are of the images without lens distortion. A cuboid is moved from its own time to that of the image
-with the mean velocity of its track over a second. Objects whose box is lower than 25 px are left out.
+Boxes are of the images without lens distortion. A cuboid is moved from its own time to that of the
+image with the mean velocity of its track over a second. Objects whose box is lower than 25 px are
+left out.
 
     truncated    fraction of the outline outside of the image
-    occluded     0, 1, 2, 3 from 0, 20, 50, 90 % of the visible box behind nearer cuboids, and 3 without a lidar
-                 point; what is no object of the labels hides nothing
+    occluded     0, 1, 2, 3 from 0, 20, 50, 90 % of the visible box behind nearer cuboids, and 3
+                 without a lidar point; what is no object of the labels hides nothing
 """
 
 import shutil
@@ -29,6 +30,7 @@ from track_range.evaluation.datasets import av2, kitti360, nuscenes, pandaset, t
 from track_range.evaluation.datasets.drive import DatasetError, LabelledDrive
 from track_range.evaluation.motion.labelled_motion import camera_motion, track_slopes
 from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import check_regular, counted, shortened
 from track_range.foundation.files.output_files import make_folder, write_text
 from track_range.foundation.schemas.options import Options, option
@@ -42,9 +44,9 @@ _READERS = {
     "pandaset": (pandaset.read, "front_camera"),
     "kitti360": (kitti360.read, "image_00"),
     "nuscenes": (nuscenes.read, "CAM_FRONT"),
-    "waymo-like": (tables.read, "rig.yaml"),
+    "waymo-like": (tables.read, ""),
 }
-"""Reader and usual camera of each data set."""
+"""Reader and usual camera of each data set; "" = it has a single one."""
 
 _TYPES = {"person": "Pedestrian", "bicycle": "Cyclist", "traffic sign": "", "traffic light": ""}
 _OWN_TYPES = {
@@ -62,8 +64,8 @@ _OWN_TYPES = {
     "Medium-sized Truck": "Truck",
     "rider": "Cyclist",
 }
-"""Types of labels that are not named as the road class, by this class, and by the class of the data set
-where it says more; objects that are no road users are left out."""
+"""Types of labels that are not named as the road class, by this class, and by the class of the data
+set where it says more; objects that are no road users are left out."""
 
 _LABEL = "{} {} {} {:.2f} {} {:.4f}" + 11 * " {:.4f}"
 _TRUTH_HEAD = "frame,id,class,x1,y1,x2,y2,distance_m,visible_share,closing_mps\n"
@@ -114,10 +116,15 @@ class ConvertSettings(Options):
 def convert(settings: ConvertSettings) -> list[str]:
     """Write the drives of a data set, and return a sentence for each.
 
-    Raises DatasetError: a file of the data set is missing or damaged; OutputError: the output cannot
-    be written.
+    Raises DatasetError: a file of the data set is missing or damaged; UsageError: a camera of data
+    with a single one; OutputError: the output cannot be written.
     """
     read, usual = _READERS[settings.data]
+    if settings.camera and not usual:
+        raise UsageError(
+            f"--camera {settings.camera}: expected no camera with {settings.data}, whose camera is "
+            "that of rig.yaml."
+        )
     drives = read(settings.source, settings.camera or usual)
     try:
         lines = [_written(drive, settings.out) for drive in drives]

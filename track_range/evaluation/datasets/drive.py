@@ -1,4 +1,4 @@
-"""LabelledDrive: images, poses and cuboids of a drive of any data set, as its reader returns them."""
+"""LabelledDrive: images, poses and cuboids of a drive of any data set, as its reader returns it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class DatasetError(UserError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LabelledDrive:
-    """One camera of a drive with F frames, and N cuboids, each at its own time, in a fixed frame."""
+    """One camera of a drive with F frames, and N cuboids at their own times, in a fixed frame."""
 
     name: str
     camera: PinholeCamera  # with the lens of the images
@@ -44,7 +44,7 @@ class LabelledDrive:
     padding_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def columns_of(path: Path, names: Sequence[str]) -> dict[str, npt.NDArray[Any]]:
+def read_columns(path: Path, names: Sequence[str]) -> dict[str, npt.NDArray[Any]]:
     """The named columns of a Feather, Parquet or CSV file; DatasetError if one is missing."""
     from pyarrow import ArrowException, csv, feather, parquet
 

@@ -38,13 +38,13 @@ def read(folder: Path, camera_name: str) -> Iterator[LabelledDrive]:
         cuboids = [one for node in _nodes(file) for one in _cuboids(node, number, pose, file)]
         frame, track, kind, cuboid, lwh_m = map(list, zip(*cuboids, strict=True))
         images = folder / "data_2d_raw" / file.stem / camera_name / "data_rect"
-        named = [images / f"{int(n):010d}.png" for n in number]
+        named = (images / f"{int(n):010d}.png" for n in number)
         yield LabelledDrive(
             name=file.stem,
             camera=PinholeCamera(fx, fy, cx, cy, int(width_px), int(height_px)),
             time_s=number * _STEP_S,
             pose=pose,
-            images=named if all(image.is_file() for image in named) else (),
+            images=[image for image in named if image.is_file()],
             track=np.array(track),
             kind=kind,
             frame=np.array(frame),

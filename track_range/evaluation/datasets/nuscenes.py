@@ -1,4 +1,5 @@
-"""nuScenes: the root folder, with the tables of v1.0-mini, -trainval or -test, and images in samples.
+"""nuScenes: the root folder, with the tables of v1.0-mini, -trainval or -test, and images in
+samples.
 
 The labels are of key frames, 2 Hz; each scene is a drive.
 """
@@ -62,13 +63,12 @@ def _drive(
     samples = [tables["sample"][row["sample_token"]] for row in labels]
     K = shots[0]["mount"]["camera_intrinsic"]
     size_px = int(shots[0]["width"]), int(shots[0]["height"])
-    images = [folder / str(shot["filename"]) for shot in shots]
     return LabelledDrive(
         name=name,
         camera=PinholeCamera(K[0][0], K[1][1], K[0][2], K[1][2], *size_px),
         time_s=np.array([shot["timestamp"] for shot in shots]) / 1e6,
         pose=_poses(shot["ego"] for shot in shots) @ _poses(shot["mount"] for shot in shots),
-        images=images if all(image.is_file() for image in images) else (),
+        images=[image for shot in shots if (image := folder / str(shot["filename"])).is_file()],
         track=np.array([row["instance_token"] for row in labels]),
         kind=[tables["category"][one["category_token"]]["name"] for one in objects],
         frame=np.repeat(np.arange(len(shots)), [len(rows) for rows in of_shots]),

@@ -1,8 +1,8 @@
-"""PandaSet: folders of sequences. Its cuboids are pickles, which can run any code when they are read:
-they are read from CSV files beside them, which pandas writes (`_ADVICE`).
+"""PandaSet: folders of sequences. Its cuboids are pickles, which can run any code when they are
+read: they are read from CSV files beside them, which pandas writes (`_ADVICE`).
 
-An object that both lidars see is labelled twice; the cuboid of the spinning lidar counts. Cuboids have
-the times of the lidar's sweeps.
+An object that both lidars see is labelled twice; the cuboid of the spinning lidar counts. Cuboids
+have the times of the lidar's sweeps.
 """
 
 from collections.abc import Iterator
@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from track_range.evaluation.datasets.drive import (
     DatasetError,
     LabelledDrive,
-    columns_of,
     poses_of,
+    read_columns,
     stacked,
 )
 from track_range.foundation.files.structured_text import read_json
@@ -53,7 +53,7 @@ def read(folder: Path, camera_name: str) -> Iterator[LabelledDrive]:
             f"this in the folder of the sequence: {_ADVICE}"
         )
     names = ("uuid", "label", "yaw", *_PLACE, *_SIZE, _SENSOR, _SIBLING)
-    tables = [columns_of(file, names) for file in files]
+    tables = [read_columns(file, names) for file in files]
     table = {name: np.concatenate([one[name] for one in tables]) for name in names}
     table["frame"] = np.repeat(np.arange(len(files)), [len(one["uuid"]) for one in tables])
     of_spinning = table["uuid"][table[_SENSOR] == 0]

@@ -1,21 +1,22 @@
 """Errors of measured cuboids against those of labels, by cell.
 
     heading         difference of the yaws: modulo 360 of objects that move, modulo 180 of others
-    nearest side    the edge of the footprint nearest to the straight path of the camera, below 30 m; its sigma is
-                    propagated from centre, yaw, length and width as if their errors were independent
+    nearest side    the edge of the footprint nearest to the straight path of the camera, below 30 m;
+                    its sigma is propagated from centre, yaw, length and width as if their errors
+                    were independent
     centre          distance between the centres, and its parts in the axes of the camera
 
-A fraction within sigma takes the yaw modulo 180 where the front is not known, and modulo 360 where it
-is stated. A side is seen where the view is at least 15 degrees off the long axis of the cuboid.
+A fraction within sigma takes the yaw modulo 180 where the front is not known, and modulo 360 where
+it is stated. A side is seen where the view is at least 15 degrees off the long axis of the cuboid.
 """
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.bootstrap import Resamples, Statistic, figures_of
 from track_range.ranging.truth.errors import fraction, within_sigmas
 from track_range.ranging.world.cuboid_corners import cuboid_corners
@@ -26,8 +27,8 @@ _SIDE_BELOW_M = 30.0  # distance up to which the nearest side is compared
 DISTANCES_M = ((5, 10), (10, 20), (20, 30), (30, 50), (50, 100))
 
 Errors = Mapping[str, tuple[FloatArray, FloatArray | None]]
-"""(N,) signed errors, and errors in units of sigma, by the name of the quantity; NaN = unknown, None =
-a distance without sign and sigma."""
+"""(N,) signed errors, and errors in units of sigma, by the name of the quantity; NaN = unknown,
+None = a distance without sign and sigma."""
 
 
 def labelled_cuboids(
@@ -41,11 +42,6 @@ def labelled_cuboids(
         yaw_deg=wrapped_deg(-90.0 - np.degrees(rotation_y_rad)),
         centre_m=bottom_m - height_m * [0.0, 0.5, 0.0],
     )
-
-
-def selected(cuboids: Cuboids, rows: IntArray) -> Cuboids:
-    """The cuboids with these indices."""
-    return Cuboids(*(getattr(cuboids, field.name)[rows] for field in fields(Cuboids)))
 
 
 def are_sides_seen(true: Cuboids) -> BoolArray:

@@ -1,5 +1,5 @@
-"""Evaluation of measured cuboids on labelled drives: labelled boxes are measured as in a run, with the
-motion of the camera from its poses.
+"""Evaluation of measured cuboids on labelled drives: labelled boxes are measured as in a run, with
+the motion of the camera from its poses.
 """
 
 from collections import defaultdict
@@ -18,7 +18,7 @@ from track_range.evaluation.motion.cuboid_errors import (
 )
 from track_range.evaluation.motion.evaluate import labelled_drives, method_options
 from track_range.evaluation.motion.labelled_motion import LabelledMotion
-from track_range.evaluation.motion.measured_motion import columns_of, filtered_frames
+from track_range.evaluation.motion.measured_motion import filtered_frames, method_columns
 from track_range.evaluation.motion.scores import resampled_drives
 from track_range.evaluation.motion.settings import CuboidEvaluationSettings
 from track_range.evaluation.motion.states import RESTING_MPS
@@ -94,7 +94,7 @@ def measured_cuboids(
 ) -> Cuboids:
     """Cuboids of the N boxes by the stages of a run, with the distances of a method."""
     boxes = truth.boxes
-    columns = columns_of(boxes, method, options)
+    columns = method_columns(boxes, method, options)
     sizes = _class_sizes(boxes, options)
     doubt = Doubt(shared_sigma=defaultdict(float))
     stages: dict[int, WorldStage] = {}

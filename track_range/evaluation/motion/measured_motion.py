@@ -104,7 +104,7 @@ def measured_motion(
     of the frames so far.
     """
     boxes = motion.boxes
-    columns = columns_of(boxes, method, options)
+    columns = method_columns(boxes, method, options)
     values, is_alarm = np.full((11, len(boxes)), np.nan), np.zeros(len(boxes), np.bool_)
     forward = np.full((6, len(boxes)), np.nan)
     warnings = {number: CollisionWarning() for number in np.flatnonzero(motion.are_ahead).tolist()}
@@ -140,7 +140,7 @@ def measured_motion(
     return MeasuredMotion(is_alarm, *values)
 
 
-def columns_of(
+def method_columns(
     boxes: BoxSet, method: str, options: MethodOptions | None
 ) -> dict[str, MethodColumn]:
     """Distances of the boxes by the name of each method that is joined in `method`; UsageError if

@@ -141,7 +141,7 @@ class Exported:
     user.
     """
 
-    n_boxes: int
+    n_boxes: int | None  # None = of a road, or of scenarios
     n_images: int
     notes: tuple[str, ...]
     n_scenarios: int | None = None  # None = of other formats
@@ -334,12 +334,16 @@ def _export_rows(
             return Exported(len(rows), 0, notes)
         drive = cast(OpenScenarioWriter, writer).drive()
         if not settings.per_event:
-            return Exported(len(rows), 0, (*notes, *_write_drive(drive, settings)))
+            return Exported(
+                None if settings.to == "opendrive" else len(rows),
+                0,
+                (*notes, *_write_drive(drive, settings)),
+            )
         n_scenarios = _write_scenarios(drive, run.events, settings.out)
     if n_missing := len(run.events) - n_scenarios:
         lacks = "whose road user or camera has no known position"
         notes = (*notes, f"{counted(n_missing, 'event')}, {lacks}, without a scenario.")
-    return Exported(len(rows), 0, notes, n_scenarios)
+    return Exported(None, 0, notes, n_scenarios)
 
 
 def _unplaced(rows: Rows, poses: Poses | None, kind: str) -> Iterator[str]:

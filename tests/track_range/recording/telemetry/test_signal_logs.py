@@ -143,6 +143,9 @@ def test_signals_by_name(tmp_path, dbc):
     np.testing.assert_allclose(
         track.speed_mps[0], 0.01 * ((int(KMH[0]) & 0xFF) << 8 | 0xFF), rtol=1e-6
     )
+    assert track.notes[0] == "the speed is Wheels.SpeedFront in m/s."
+    yaw = read(path, SignalChoice(name="YawRate [km/h]", database=dbc))
+    assert "in km/h, as given, not in its stated unit 'deg/s'" in yaw.notes[0]
 
 
 def test_j1939_needs_no_database(tmp_path, dbc):

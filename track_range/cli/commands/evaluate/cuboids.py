@@ -1,4 +1,4 @@
-"""`track-range evaluate cuboids`: sizes, headings, centres and nearest sides of measured 3-D boxes."""
+"""`track-range evaluate cuboids`: sizes, headings and places of measured 3-D boxes."""
 
 from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files
 from track_range.cli.shared.console import console, print_grid, print_notes

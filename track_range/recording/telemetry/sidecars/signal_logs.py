@@ -96,18 +96,15 @@ def read_frames(
     """Telemetry of the frames of a CAN bus, with a reader of python-can; see `read_mdf`."""
     reader = _form_of(path)[0]
     can, cantools = (optional_package(name, str(path), "adas") for name in ("can", "cantools"))
-    messages = _messages(cantools, choice.database)
     signals = [
         _Signal(signal.name, f"{message.name}.{signal.name}", signal.unit or "", (message, signal))
-        for message in messages
+        for message in _messages(cantools, choice.database)
         for signal in message.signals
     ]
     named, unit = _chosen(choice.database or path, signals, choice)
-    message, signal = named.key
     options = {"relative_timestamp": False} if reader == "ASCReader" else {}
-    streams: dict[tuple[object, int], list[tuple[float, float]]] = defaultdict(list)
     with _reading(path), getattr(can, reader)(str(path), **options) as frames:
-        notes = _collect(frames, message, signal.name, streams)
+        streams, notes = _decoded(frames, named.key[0], named.name)
         if getattr(frames, "timestamps_format", None) == "relative":
             raise TelemetryError(f"{path}: expected absolute timestamps, found relative ones.")
         if not streams:
@@ -117,10 +114,9 @@ def read_frames(
             raise TelemetryError(
                 f"{path}: expected frames with {named.place}, found none; {advice}."
             )
-        time_s, values = _one_stream(path, named, [np.array(rows).T for rows in streams.values()])
-        if (
-            clock == "local" and reader != "BLFReader"
-        ):  # python-can takes the time zone of this machine
+        time_s, values = _one_stream(path, named, streams)
+        # python-can takes the time zone of this machine
+        if clock == "local" and reader != "BLFReader":
             zone = datetime.fromtimestamp(time_s[0], UTC).astimezone().utcoffset()
             time_s = time_s + (zone.total_seconds() if zone and time_s[0] > _FIRST_DATE_S else 0.0)
     return _track(path, named, unit, clock, time_s, values, *notes)
@@ -223,13 +219,9 @@ def _chosen(path: Path, signals: Sequence[_Signal], choice: SignalChoice) -> tup
     return signal, unit
 
 
-def _collect(
-    frames: Any,
-    message: Any,
-    name: str,
-    streams: dict[tuple[object, int], list[tuple[float, float]]],
-) -> list[str]:
-    """Add times and values of a signal to the streams by bus and identifier; returns notes."""
+def _decoded(frames: Any, message: Any, name: str) -> tuple[list[FloatArray], list[str]]:
+    """Times and values (2, N) of a signal, by bus and identifier, and notes for the user."""
+    streams: dict[tuple[object, int], list[tuple[float, float]]] = defaultdict(list)
     is_group = message.is_extended_frame and (
         message.protocol == "j1939" or message.frame_id & 0xFF == _ANY_ADDRESS
     )
@@ -256,7 +248,7 @@ def _collect(
         notes.append("the log is damaged or cut off, and is used up to there.")
     if n_short:
         notes.append(f"{counted(n_short, 'frame')} cannot be decoded.")
-    return notes
+    return [np.array(rows).T for rows in streams.values()], notes
 
 
 def _one_stream(
@@ -317,7 +309,9 @@ def _track(
             f"{path}: expected values of {signal.place}, found none that is valid in "
             f"{counted(len(values), 'sample')}."
         )
-    said = [f"the speed is {signal.place} in {unit}.", *notes]
+    is_own = _unit(signal.unit) or not signal.unit.strip()
+    stated = "" if is_own else f", as given, not in its stated unit {quoted(signal.unit)}"
+    said = [f"the speed is {signal.place} in {unit}{stated}.", *notes]
     if n_missing:
         said.append(f"{counted(n_missing, 'sample has', 'samples have')} no valid value.")
     if time_s[0] < _FIRST_DATE_S:

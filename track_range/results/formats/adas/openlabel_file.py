@@ -3,8 +3,9 @@
     frame -> line of the file (frame_properties, objects), while the run is in progress
     end   -> objects with pointers to their data, events as actions with relations to their objects
 
-The lines of the frames come before the objects, which are known at the end: the file of a killed run is no JSON.
-Boxes and intrinsics are those of the left camera, rectified; cuboids are in its axes. What is not known is left out.
+The lines of the frames come before the objects, which are known at the end: the file of a killed run
+is no JSON. Boxes and intrinsics are those of the left camera, rectified; cuboids are in its axes.
+What is not known is left out.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""OsiWriter, OsiGroundTruthWriter, OsiMcapWriter: ASAM OSI traces of one type of message, and of all
-types in one MCAP file.
+"""OsiWriter, OsiGroundTruthWriter, OsiMcapWriter: ASAM OSI traces of one type of message, and of
+all types in one MCAP file.
 
-A trace of one type is a sequence of messages with their lengths as 4-byte little-endian numbers. Each
-frame is one system call. The names of the files end in the codes of their types, by which readers know
-them.
+A trace of one type is a sequence of messages with their lengths as 4-byte little-endian numbers.
+Each frame is one system call. The names of the files end in the codes of their types, by which
+readers know them.
 """
 
 import struct
@@ -41,7 +41,7 @@ class OsiWriter(RowWriter):
 
     def rows(self, result: FrameResult) -> bytes:
         """The message of a frame after its length; nothing if the frame has none."""
-        message = self._messages.of(result).get(self.message_type)
+        message = self._messages.of(result, {self.message_type}).get(self.message_type)
         content: bytes = b"" if message is None else message.SerializeToString()
         return struct.pack("<I", len(content)) + content if content else b""
 

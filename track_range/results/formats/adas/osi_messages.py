@@ -1,16 +1,16 @@
-"""OsiMessages: a frame as messages of ASAM OSI 3: what the camera measured as SensorData, the ego vehicle
-as HostVehicleData, and the same world as GroundTruth.
+"""OsiMessages: a frame as messages of ASAM OSI 3: what the camera measured as SensorData, the ego
+vehicle as HostVehicleData, and the same world as GroundTruth.
 
 SensorData are in the axes of the sensor, which are those of the camera by other names: x along the
 optical axis, y to the left, z up. With a mounting, they stand in the vehicle as `mounting_position`
-says. HostVehicleData and GroundTruth are in the frame `map`. Positions are the middles of boxes, angles
-turn yaw first, then pitch, then roll (ISO 8855), and velocities are the change of the position per
-second in the same axes. Values that are not known are not set.
+says. HostVehicleData and GroundTruth are in the frame `map`. Positions are the middles of boxes,
+angles turn yaw first, then pitch, then roll (ISO 8855), and velocities are the change of the
+position per second in the same axes. Values that are not known are not set.
 """
 
 import cmath
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pkgutil import resolve_name
 from typing import Any
 
@@ -76,14 +76,24 @@ class OsiMessages:
             ),
         }
 
-    def of(self, result: FrameResult) -> dict[str, Any]:
-        """The messages of a frame by name; those in `map` only if the pose of the camera is known."""
+    def of(
+        self, result: FrameResult, wanted: Collection[str] = frozenset(MESSAGES)
+    ) -> dict[str, Any]:
+        """The wanted messages of a frame by name; those in `map` only if the pose of the camera is
+        known.
+        """
         seconds, nanos = divmod(round(result.time_s * 1e9), 10**9)
         start = {"version": self.version, "timestamp": {"seconds": seconds, "nanos": nanos}}
-        contents = {"SensorData": self._sensor_data(result, start["timestamp"])}
-        if math.isfinite(result.ego_pose.x_m):
+        contents = (
+            {"SensorData": self._sensor_data(result, start["timestamp"])}
+            if "SensorData" in wanted
+            else {}
+        )
+        if {*wanted} != {"SensorData"} and math.isfinite(result.ego_pose.x_m):
             contents |= self._in_map(result)
-        return {name: self.types[name](**start, **parts) for name, parts in contents.items()}
+        return {
+            name: self.types[name](**start, **contents[name]) for name in contents if name in wanted
+        }
 
     def _sensor_data(self, result: FrameResult, time: dict[str, int]) -> dict[str, Any]:
         """Tracks and lane lines of a frame, as the camera measured them."""
