@@ -283,10 +283,7 @@ def _export_rows(
     is_written = map_to_road_classes([str(name) for name in run.rows["class"]]) >= 0
     notes = run.missing
     if n_unknown := int(np.count_nonzero(~is_written)):
-        notes = (
-            *notes,
-            f"{n_unknown} rows have a class that is not a road class, and are not written.",
-        )
+        notes = (*notes, f"{n_unknown} rows have no road class, and are not written.")
     if settings.observed_only:
         is_written &= run.rows["observed"]
     rows = run.rows.select(is_written)
